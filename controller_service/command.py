@@ -71,7 +71,6 @@ def run_controller(options: ControllerOptions) -> int:
     """
     from controller_service.service import ControllerConfig, ControllerService, run_controllers
     from runtime.fleet_host import check_loops
-    from runtime.network import check_delays
     from runtime.scenario_file import keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
@@ -91,7 +90,6 @@ def run_controller(options: ControllerOptions) -> int:
             )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
-    check_delays(scenario, folder)
     if options.check:
         return fine(f"scenario {scenario.name}")
     config = ControllerConfig(

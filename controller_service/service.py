@@ -9,6 +9,7 @@ from pathlib import Path
 from controller_service.core import ControllerCore
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
+from protocol.link.channel import channel_of
 from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S
 from protocol.link.records import ControllerRecord
@@ -26,7 +27,6 @@ from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
 from runtime.logs import logger
 from runtime.model import load_model
-from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
@@ -97,9 +97,7 @@ def open_controller(
         predict=predict,
         message=config.message,
         news=ControllerTelemetry(config.law, status_s),
-        channel=channel_of(
-            scenario, "to_controller", config.folder, scale=config.pace.scale, seed=config.seed
-        ),
+        channel=channel_of(scenario, "to_controller", scale=config.pace.scale, seed=config.seed),
     )
     return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS)
 

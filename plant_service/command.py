@@ -57,7 +57,6 @@ def run_plant(options: PlantOptions) -> int:
     """
     from plant_service.service import PlantConfig, PlantService, run_plants
     from runtime.fleet_host import check_loops
-    from runtime.network import check_delays
     from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
@@ -77,7 +76,6 @@ def run_plant(options: PlantOptions) -> int:
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     attack = attack_option(options.attack, scenario.attack, options.steps)
     folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
-    check_delays(scenario, folder)
     if options.check:
         return fine(f"scenario {scenario.name}")
     config = PlantConfig(

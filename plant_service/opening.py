@@ -17,7 +17,7 @@ from plant_service.plant import (
     sensed,
 )
 from plant_service.status import PlantTelemetry
-from protocol.link.channel import Channel
+from protocol.link.channel import Channel, round_trip_s
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
 from protocol.link.records import AppliedRecord, LinkRecord, PlantRecord, PlantSessionRecord
@@ -30,7 +30,6 @@ from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
-from runtime.network import round_trip_s
 
 if TYPE_CHECKING:
     from attacker_service.attacker import Attacker
@@ -154,7 +153,7 @@ def open_core(
             steps=steps,
             news=news,
             watchdog_s=scenario.link.watchdog_s,
-            round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
+            round_trip_s=round_trip_s(scenario) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
             nonces=nonces,
             channel=channel,

@@ -13,6 +13,7 @@ from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.plant import FilteredPlant
 from plant_service.status import PlantTelemetry
+from protocol.link.channel import channel_of
 from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.scenario import Attack
@@ -28,7 +29,6 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
 from runtime.logs import logger
-from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
@@ -116,9 +116,7 @@ def _opened(
         if config.seed is None
         else Stream(config.seed, SENSOR, width=scenario.readings),
         attack=config.attack,
-        channel=channel_of(
-            scenario, "to_plant", config.folder, scale=config.pace.scale, seed=config.seed
-        ),
+        channel=channel_of(scenario, "to_plant", scale=config.pace.scale, seed=config.seed),
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)

@@ -3,10 +3,10 @@
 What is drawn independently is a run: its steps depend on each other. So a share or a mean over runs
 has an interval over runs (:func:`share_over_runs`, :func:`mean_over_runs`), and fewer than
 :data:`FEWEST_RUNS` runs have none. What is looked at again and again, with a decision at each look,
-has a confidence sequence, which holds at all looks together (:func:`confidence_sequence` for a
-probability, :func:`mean_sequence` for a mean over runs). :func:`wilson` is for trials that are
-independent, such as one per run, :func:`clopper_pearson` for the same where a bound must never be
-too narrow, :func:`normal` for an estimate whose standard error is known.
+has a confidence sequence, which holds at all looks together (:func:`confidence_sequence`).
+:func:`wilson` is for trials that are independent, such as one per run, :func:`clopper_pearson` for
+the same where a bound must never be too narrow, :func:`normal` for an estimate whose standard error
+is known.
 
 Limits that are not known are NaN: :attr:`Interval.known` asks, :meth:`Interval.text` says so.
 """
@@ -60,11 +60,6 @@ class Interval(NamedTuple):
     def width(self) -> float:
         """Upper limit minus lower."""
         return self.high - self.low
-
-    @property
-    def relative_width(self) -> float:
-        """Width over the estimate; infinite where the estimate is zero or has no limits."""
-        return self.width / abs(self.value) if self.value and self.known else inf
 
     def scaled(self, factor: float) -> "Interval":
         """Estimate and limits times a positive factor."""
@@ -395,37 +390,6 @@ def better_than(chance: float, successes: float, trials: int, alpha: float) -> b
     if successes <= chance * trials:
         return False
     return log_evidence(successes, trials, chance) >= -log(alpha)
-
-
-def mean_sequence(histogram: Mapping[int, int], confidence: float = CONFIDENCE) -> Interval:
-    """Limits of a mean over runs that hold at every look together, as runs are added.
-
-    Robbins' normal mixture with the variance that was seen: asymptotic, as the bootstrap is
-    (Waudby-Smith, Arbour, Sinha, Kennedy and Ramdas 2024, Theorem 2.2). It is narrowest at about
-    :data:`_SHARPEST` runs. Fewer than :data:`FEWEST_RUNS` runs have no limits, nor have runs that
-    all had the same count.
-
-    Raises
-    ------
-    ValueError
-        When there is no run.
-    """
-    alpha = 1 - _checked(confidence)
-    runs = sum(histogram.values())
-    if runs < 1 or min(histogram.values()) < 0:
-        raise ValueError(f"histogram: got {dict(histogram)}, expected at least one run")
-    mean = sum(v * n for v, n in histogram.items()) / runs
-    variance = sum(n * (v - mean) ** 2 for v, n in histogram.items()) / max(runs - 1, 1)
-    if runs < FEWEST_RUNS or not variance:
-        return Interval(mean)
-    # rho^2 at which the limits are narrowest after that many runs
-    rho2 = (-2 * log(alpha) + log(-2 * log(alpha) + 1)) / _SHARPEST
-    spread = runs * rho2 + 1
-    half = sqrt(variance * 2 * spread / (runs * runs * rho2) * log(sqrt(spread) / alpha))
-    return Interval(mean, mean - half, mean + half)
-
-
-_SHARPEST: Final = 100
 
 
 # --- what guessing leaves -------------------------------------------------------------------------

@@ -1,4 +1,6 @@
-"""Foreign text made safe to print: one line without control characters."""
+"""Text to print: foreign text on one line without control characters, and tables."""
+
+from collections.abc import Iterable, Sequence
 
 
 def printable(text: str) -> str:
@@ -9,6 +11,14 @@ def printable(text: str) -> str:
 def readable(payload: bytes) -> str:
     """A payload as one line of text: undecodable and unprintable characters as ``·``."""
     return printable(payload.decode("utf-8", errors="replace").replace("\ufffd", "·"))
+
+
+def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
+    """The rows of a table as lines, a column's cells below each other."""
+    table = list(rows)
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = ("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in table)
+    return [line.rstrip() for line in lines]
 
 
 class Shown:

@@ -64,7 +64,7 @@ def carry_out(command: Callable[[], int]) -> int:
 
 def _wrong(lines: Iterable[str]) -> int:
     for line in lines:
-        print(f"wyner: {printable(_by_variable(line))}", file=sys.stderr)
+        print(f"wyner: {printable(line)}", file=sys.stderr)
     return USAGE
 
 
@@ -147,20 +147,6 @@ def serve(name: str) -> int:
         return int(module.run(parser.parse_args()))
 
     return entered(lambda: carry_out(command))
-
-
-SAID_BY: Final = "WYNER_SAID_BY"
-"""Environment variable: which variable each option's value came from, where somebody else wrote the
-command line (compose.yaml): ``--pace=WYNER_PACE;/scenarios/=WYNER_SCENARIO``."""
-
-
-def _by_variable(line: str) -> str:
-    """The line, before it the variable that the user has set wrong, if it came from one."""
-    for pair in os.environ.get(SAID_BY, "").split(";"):
-        start, _, variable = pair.rpartition("=")
-        if start and line.startswith(start):
-            return f"{variable}: {line}"
-    return line
 
 
 def _flush_or_drop_output() -> None:

@@ -10,10 +10,8 @@ from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.host import Host
-from runtime.network import check_delays
 from runtime.ports import Files
 from runtime.scenario_file import scenario_of
-from runtime.shipped import scenario_file_of
 
 Open = Callable[[FleetLoop, int], tuple[Endpoint, Files]]
 """Opens one end of a loop, the nth of its host, as its journal has it.
@@ -23,7 +21,7 @@ It raises UsageError, Failure or OSError where that cannot be.
 
 
 def check_loops(fleet: Fleet) -> None:
-    """Read the scenario of every loop, and the files that it names; start nothing.
+    """Read the scenario of every loop; start nothing.
 
     Raises
     ------
@@ -37,7 +35,7 @@ def check_loops(fleet: Fleet) -> None:
     problems: list[str] = []
     for scenario, loop_id in first.items():
         try:
-            check_delays(scenario_of(scenario), scenario_file_of(scenario).parent)
+            scenario_of(scenario)
         except UsageError as error:
             where = "" if fleet.path is None else f"{loop_id}: "
             problems += [f"{where}{line}" for line in error.lines]

@@ -26,7 +26,7 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, BusChannel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
-from runtime.health_files import HealthFiles, HealthWriter
+from runtime.health import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts

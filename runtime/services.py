@@ -50,7 +50,8 @@ class Service:
     publishes : mapping of str to tuple of str
         By bus, the topics on which it may publish, and nobody else.
     reports : bool
-        Whether it writes a ``status.json`` (:func:`runtime.health.look_at_status`) into its folder.
+        Whether it writes a ``status.json`` into its folder: a table with its time ``t_ns``, and
+        how it is in ``health``, which begins with ``ok`` or ``bad``.
     stop_s : float
         Seconds that it has to stop by itself.
     """

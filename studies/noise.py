@@ -7,7 +7,7 @@ import numpy as np
 
 from runtime.scenario_file import scenario_of
 from studies.bound.loop import LinearLoop
-from studies.bound.taps import block_left, smoother_left
+from studies.bound.taps import block_left, text_left
 from studies.registry import study
 from studies.signalling import changed
 
@@ -46,7 +46,7 @@ def bound_rows(_: None) -> Iterator[tuple[Any, ...]]:
                 BLOCKS,
                 COINS,
             ),
-            "smoother": (smoother_left(scenario, noise, STEPS, RUNS, SEED), RUNS, STEPS),
+            "text": (text_left(scenario, noise, STEPS, RUNS, SEED), RUNS, STEPS),
         }
         for tap, (left, runs, steps) in taps.items():
             yield (

@@ -15,7 +15,7 @@ from tap_service.capture.channel import View
 
 RUNS, STEPS, SEED = 10, 500, 7
 MESSAGE: Final = b"Sail"
-TAPS: Final = ("nearest-centre", "list-decoder", "fitted-box", "learning", "smoother", "text")
+TAPS: Final = ("nearest-centre", "list-decoder", "learning", "text")
 
 CONDITIONS: Final[dict[str, dict[str, Any]]] = {
     "D_e (0.24, 0.96)": {"secrecy": {"alpha": 1.0, "disturbance": {"half_widths": [0.24, 0.96]}}},

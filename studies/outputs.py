@@ -16,10 +16,7 @@ from tap_service.capture.channel import View
 
 RUNS, STEPS, SEED = 10, 700, 11
 MESSAGE: Final = b"We sail at dawn."
-TAPS: Final = (
-    "set-membership", "nearest-centre", "list-decoder", "fitted-box", "learning", "smoother",
-    "text",
-)  # fmt: skip
+TAPS: Final = ("set-membership", "nearest-centre", "list-decoder", "learning", "text")
 
 CONDITIONS: Final[dict[str, tuple[float, View]]] = {
     "clear": (0.0, View()),

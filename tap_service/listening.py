@@ -161,7 +161,7 @@ class Listeners:
         What each eavesdropper is told, by name or ``FILE.py:NAME``.
     write : callable
         Takes the lines of their guesses.
-    log : logging.Logger
+    log : logging.Logger, optional
         Told when one fails.
     answer_s : float
         As for :class:`Listener`.
@@ -176,7 +176,7 @@ class Listeners:
         self,
         told: Mapping[str, Knowledge],
         write: Callable[[bytes], None],
-        log: logging.Logger,
+        log: logging.Logger | None = None,
         *,
         answer_s: float = 0.0,
     ) -> None:

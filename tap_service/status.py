@@ -134,11 +134,6 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
     }
 
 
-def unused_of(counts: Mapping[str, int]) -> dict[str, int]:
-    """What the tap could not use, by name; 0 where it is not counted."""
-    return {name: counts.get(name, 0) for name in UNUSED}
-
-
 def beliefs_json(records: Mapping[str, dict[str, Any]]) -> bytes:
     """The content of ``beliefs.json``: one record an eavesdropper, by name."""
     return to_json(dict(records), inf_nan_mode="strings") + b"\n"

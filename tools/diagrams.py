@@ -35,7 +35,7 @@ from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.runs.check import RULES
-from wyner.runs.evidence_files import KINDS
+from wyner.runs.seal import READ, SEAL_ALONE
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
@@ -142,10 +142,10 @@ def check_table() -> str:
 
 
 def evidence_table() -> str:
-    """The files of a run's folder, and what holds each to what it was."""
-    lines = ["| file | evidence | held by, or why it is none |", "|---|---|---|"]
-    for kind in KINDS:
-        lines.append(f"| `{kind.pattern}` | {'yes' if kind.evidence else 'no'} | {kind.held_by} |")
+    """The files of a run's folder that are evidence, and what holds them to what they were."""
+    held = {"rules that read them, and the seal": READ, "the seal alone": SEAL_ALONE}
+    lines = ["| held by | files |", "|---|---|"]
+    lines += [f"| {by} | {', '.join(f'`{one}`' for one in files)} |" for by, files in held.items()]
     return "\n".join([*lines, ""])
 
 

@@ -190,7 +190,7 @@ def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
         r = recursion(scenario)
         Ac = np.array(scenario.A) + np.array(scenario.B) @ K
         try:
-            T0, terminal = terminal_set(Ac, larger, scenario.control.terminal_order)
+            T0, terminal = terminal_set(Ac, larger)
             V = corners(T0.H, T0.h)
             _check_invariant(T0, Ac, r)
         except (TooSlowError, TooThinError) as error:

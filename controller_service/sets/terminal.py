@@ -176,7 +176,7 @@ def faster(Ac: Array) -> str:
     )
 
 
-def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, Terminal]:
+def terminal_set(Ac: Array, D: ConvexSet) -> tuple[Polytope, Terminal]:
     """An invariant set of x+ = A_c x + d, d in D, by the number of states.
 
     Raises
@@ -192,7 +192,7 @@ def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, 
         Ac = in_units(Ac, units)
     if len(Ac) == 2:
         p = Polytope.from_rows(*D.rows()).in_units(units)
-        T0, terminal = rakovic(Ac, p, order)
+        T0, terminal = rakovic(Ac, p)
     else:
         T0, terminal = modal(Ac, V if units is None else V / units)
     if units is None:
@@ -212,7 +212,7 @@ def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
     return p, Terminal("interval", 0, 0.0, 0.0)
 
 
-def rakovic(Ac: Array, D: Polytope, order: int | None) -> tuple[Polytope, Terminal]:
+def rakovic(Ac: Array, D: Polytope) -> tuple[Polytope, Terminal]:
     """F(alpha, s) = (1 - alpha)^-1 (D + A_c D + ... + A_c^(s-1) D) in the plane."""
     D_c, excess = thinned(planar_reduce(D.H, D.h))
     V = planar_vertices(D_c)
@@ -227,17 +227,12 @@ def rakovic(Ac: Array, D: Polytope, order: int | None) -> tuple[Polytope, Termin
             # The sum's radius in the infinity norm: its support along the axes, term by term.
             radius = float(reach.max())
             bound = alpha / (1 - alpha) * radius
-            if s == order or (order is None and bound <= TERMINAL_ERROR * radius):
+            if bound <= TERMINAL_ERROR * radius:
                 bound += excess * radius
                 break
-        if s >= MOST_TERMS and alpha < 1 and order is None:
+        if s >= MOST_TERMS and alpha < 1:
             bound += excess * radius
             break  # K is slow: a set that is larger than the smallest by more than we aim at
-        if s == order:
-            raise SynthesisError(
-                f"control.terminal_order: with {s} terms A_c^s D_c is {alpha:.3g} times D_c, "
-                "expected below 1"
-            )
         if s >= MOST_TERMS:
             radius = float(np.abs(np.linalg.eigvals(Ac)).max())
             if radius**MOST_TERMS < QUICK:

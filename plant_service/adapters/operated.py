@@ -77,9 +77,6 @@ class Operated:
         Of U, in deviations; what is applied is clipped to it.
     name : str
         For messages.
-    settle_steps : int
-        Steps of a simulation at the operating input before the start; where they lead is the
-        operating state.
     limits : tuple of (low, high), optional
         Range of each reading in physical units; one outside is a failure.
     """
@@ -91,7 +88,6 @@ class Operated:
         inputs: Gauge,
         *,
         name: str = "plant",
-        settle_steps: int = 0,
         limits: tuple[tuple[float, float], ...] | None = None,
     ) -> None:
         self.adapter = adapter
@@ -101,7 +97,6 @@ class Operated:
         self.point = point
         self._inputs = inputs
         self._name = name
-        self._settle_steps = settle_steps
         self._limits = limits
         self._t_ns = -1
         self._fault = ""
@@ -127,23 +122,13 @@ class Operated:
         return self._displaceable is not None
 
     def start(self, seed: int | None) -> Vector:
-        """Reset or connect, settle; x(0).
+        """Reset or connect; x(0).
 
         Raises
         ------
         PlantError
         """
-        sample = self._guarded("start", lambda: self.adapter.start(seed))
-        x = self._checked(sample)
-        for _ in range(0 if self.device else self._settle_steps):
-            self._guarded("apply", lambda: self.adapter.apply(self.point.input))
-            sample = self._guarded("sample", self.adapter.sample)
-            x = self._checked(sample)
-        if self._settle_steps and not self.device:
-            here = self.point
-            self.point = OperatingPoint(sample.y, here.input, here.state_scale, here.input_scale)
-            x = (0.0,) * len(sample.y)
-        return x
+        return self._checked(self._guarded("start", lambda: self.adapter.start(seed)))
 
     def resume(self, x: Vector, k: int) -> None:
         """Go on from x(k); only where :attr:`resumable`."""

@@ -73,12 +73,10 @@ def open_plant(
             f"plant.operating_point, plant.limits: expected {n} numbers, as many as the plant gives"
         )
     point = _point(scenario, n, m)
-    settle_s = getattr(plant, "settle_s", None)
     operated = Operated(
         adapter,
         point,
         Gauge.from_rows(*scenario.control.inputs.rows()),
-        settle_steps=0 if settle_s is None else round(settle_s / plant.period_s),
         limits=plant.limits,
     )
     if plant.disturbance.enters in (None, "state") and not operated.displaceable:

@@ -8,11 +8,13 @@ import heapq
 import random
 from collections import OrderedDict
 from math import inf
-from typing import Final
+from typing import Final, Literal
 
 from protocol.fates import Fates
 from protocol.messages import FieldMessage, Message
-from protocol.scenario.network import ChannelTable
+from protocol.scenario import ChannelTable, Scenario
+
+Direction = Literal["to_plant", "to_controller"]
 
 REMEMBERED: Final = 64
 """Steps of which copies are counted; an older one starts from its first copy again."""
@@ -25,6 +27,10 @@ COPIES: Final = 128
 state goes on as in the step after it, so that no bad state lasts for ever."""
 
 
+MOST_PERIODS: Final = 40
+"""Periods for which a message under way is waited for; a later one counts as never."""
+
+
 class Channel:
     """One direction of the network.
 
@@ -33,8 +39,6 @@ class Channel:
     table : ChannelTable
     name : str
         What tells its draws from others': seed, run and direction.
-    measured : tuple of float
-        The delays of the table's file.
     scale : float
         Seconds of the caller's clock in a second of the plant's.
     """
@@ -43,17 +47,14 @@ class Channel:
         self,
         table: ChannelTable,
         name: str,
-        measured: tuple[float, ...] = (),
         scale: float = 1.0,
     ) -> None:
         self._table = table
-        self._measured = measured
         self._scale = scale
         self._fates = Fates(name)
         self._chain = table.chain
         self._copies: OrderedDict[int, int] = OrderedDict()
         self._state: tuple[int, float] = (-1, self._chain.loss_good)  # step, and its loss
-        self._free_at = -inf
         self._newest = -inf
 
     def arrival(self, k: int, now: float) -> float | None:
@@ -63,12 +64,9 @@ class Channel:
         if len(self._copies) > REMEMBERED:
             self._copies.popitem(last=False)
         lost, late = self._fates.at(k, copy)
-        sent = now
-        if table.rate_hz is not None:  # a message that is lost later occupies the way, too
-            sent = self._free_at = max(now, self._free_at) + table.sending_s * self._scale
         if lost < self._loss(k + copy // COPIES):
             return None
-        arrives = sent + self._delay_s(late) * self._scale
+        arrives = now + self._delay_s(late) * self._scale
         if not table.reordering:
             arrives = self._newest = max(arrives, self._newest)
         return arrives
@@ -81,8 +79,6 @@ class Channel:
     def _delay_s(self, uniform: float) -> float:
         """The delay that a uniform number stands for."""
         table = self._table
-        if table.delay == "measured":
-            return self._measured[int(uniform * len(self._measured))]
         if table.delay == "uniform":
             return table.delay_s + (2.0 * uniform - 1.0) * table.jitter_s
         if table.delay == "gamma":
@@ -127,3 +123,41 @@ class UnderWay:
     def arrived(self) -> FieldMessage:
         """The next one, which has arrived."""
         return heapq.heappop(self._messages)[2]
+
+
+def channel_of(
+    scenario: Scenario,
+    to: Direction,
+    *,
+    scale: float = 1.0,
+    seed: int | None = None,
+    run: int = 0,
+) -> Channel | None:
+    """The channel of one direction; None where the scenario has no network.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    to : {"to_plant", "to_controller"}
+    scale : float
+        Seconds of the end's clock in a second of the plant's.
+    seed, run : int
+        Of the experiment, beside the network's own seed.
+    """
+    network = scenario.network
+    if network is None:
+        return None
+    table = network.to_plant if to == "to_plant" else network.to_controller
+    return Channel(table, f"network {network.seed} {0 if seed is None else seed} {run} {to}", scale)
+
+
+def round_trip_s(scenario: Scenario) -> float:
+    """Seconds of the plant's clock within which a measurement is answered, but very rarely.
+
+    At most `MOST_PERIODS` periods.
+    """
+    network = scenario.network
+    if network is None:
+        return 0.0
+    longest = network.to_plant.longest_s + network.to_controller.longest_s
+    return min(longest, MOST_PERIODS * scenario.plant.period_s)

@@ -79,8 +79,6 @@ class Control(ScenarioTable):
     """Weights from which K is computed; or `gain`."""
     performance: Performance | None = None
     """Weights of the control cost that a run reports; the regulator's, or ones, where not given."""
-    terminal_order: Annotated[int, Field(ge=1, le=200)] | None = None
-    """Terms of T_0's approximation; where not given, as many as it needs."""
     costs: tuple[Cost, ...] = (Cost(next_state=1.0), Cost(input=1.0))
     """One program a candidate: costs that differ keep the candidates apart."""
 

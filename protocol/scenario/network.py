@@ -1,13 +1,12 @@
 """``[network]``: what lies between the two ends, one table a direction."""
 
-from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from protocol.knowledge import NotNegative
 from protocol.losses import Losses
-from protocol.scenario.parts import Positive, ScenarioTable
+from protocol.scenario.parts import ScenarioTable
 
 LONG: float = 6.0
 """Standard deviations beyond its mean that a gamma delay is allowed for."""
@@ -23,26 +22,18 @@ class ChannelTable(Losses, ScenarioTable):
     lock-step, ``--pace fast``, a step waits for its offer, and none is missed.
     """
 
-    delay: Literal["constant", "uniform", "gamma", "measured"] = "constant"
+    delay: Literal["constant", "uniform", "gamma"] = "constant"
     """How a delay is drawn: always delay_s; ``uniform``, delay_s plus or minus jitter_s at most;
-    ``gamma`` of this mean and deviation; ``measured``, one of the numbers in `file`."""
+    ``gamma`` of this mean and deviation."""
     delay_s: NotNegative = 0.0
     """The delay, or its mean."""
     jitter_s: NotNegative = 0.0
     """Half the width of ``uniform``, standard deviation of ``gamma``."""
-    file: str | None = None
-    """Of ``measured``: a text file beside the scenario, a delay in seconds a line."""
     reordering: bool = True
     """Whether a message may overtake another; else it waits for those before it."""
-    rate_hz: Positive | None = None
-    """Messages a second that the way carries, one after the other; no limit where not given."""
 
     @model_validator(mode="after")
     def _delays_fit(self) -> Self:
-        if (self.delay == "measured") != (self.file is not None):
-            raise ValueError(f"file: got {self.file!r}, expected one where delay is 'measured'")
-        if self.delay == "measured" and (self.delay_s or self.jitter_s):
-            raise ValueError("delay_s and jitter_s: expected none, as the delays are measured")
         if self.delay == "constant" and self.jitter_s:
             raise ValueError(
                 f"jitter_s: got {self.jitter_s:g}, expected delay = 'uniform' or 'gamma' with it"
@@ -61,16 +52,9 @@ class ChannelTable(Losses, ScenarioTable):
         return self
 
     @property
-    def sending_s(self) -> float:
-        """Seconds for which a message occupies the way."""
-        return 0.0 if self.rate_hz is None else 1.0 / self.rate_hz
-
-    def longest_s(self, measured: tuple[float, ...] = ()) -> float:
+    def longest_s(self) -> float:
         """Seconds within which all but a very rare message has come."""
-        if self.delay == "measured":
-            return self.sending_s + max(measured, default=0.0)
-        spread = LONG * self.jitter_s if self.delay == "gamma" else self.jitter_s
-        return self.sending_s + self.delay_s + spread
+        return self.delay_s + (LONG if self.delay == "gamma" else 1.0) * self.jitter_s
 
 
 class Network(ScenarioTable):
@@ -86,14 +70,3 @@ class Network(ScenarioTable):
     """The way of the measurements."""
     seed: Annotated[int, Field(ge=0)] = 1
     """Of the network's draws, which are no secret; beside a run's own seed where it has one."""
-
-    def problems(self, period_s: float, repeats: int) -> Iterator[str]:
-        """What does not fit a plant's clock, a line each."""
-        for name in ("to_plant", "to_controller"):
-            table: ChannelTable = getattr(self, name)
-            if table.rate_hz is not None and table.rate_hz * period_s < repeats * (1 - 1e-9):
-                yield (
-                    f"network.{name}.rate_hz: got {table.rate_hz:g}, expected at least "
-                    f"{repeats / period_s:g}: {repeats} messages in {period_s:g} s "
-                    "(link.repeats_per_period)"
-                )

@@ -42,13 +42,10 @@ class Disturbance(ScenarioTable):
 
 
 class OperatingPointTable(ScenarioTable):
-    """Where deviations are counted from and in which unit: x = (y - state) / state_scale.
-
-    ``state`` may be left out where the plant settles at the operating input first.
-    """
+    """Where deviations are counted from and in which unit: x = (y - state) / state_scale."""
 
     state: FiniteVector | None = None
-    """Reading at which x = 0; where not given, that at which the plant settles."""
+    """Reading at which x = 0; zero where not given."""
     input: FiniteVector
     """What is applied where u = 0, in the plant's units."""
     state_scale: tuple[Positive, ...] | None = None

@@ -4,7 +4,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from protocol.scenario.parts import Positive
 from protocol.scenario.plant import PlantTable
 from protocol.vectors import FiniteMatrix, FiniteVector
 
@@ -66,8 +65,6 @@ class PythonPlant(ModelledElsewhere):
     """A Python object."""
     object: str
     """The object or class, as FILE.py:NAME or module:NAME."""
-    settle_s: Positive | None = None
-    """Seconds to run at the operating input before step 0."""
     initial_state: AsItStands = ()
     """None: it starts as it stands."""
 
@@ -89,8 +86,6 @@ class FmuPlant(ModelledElsewhere):
     """Start values by name."""
     seed: str | None = None
     """The parameter that takes a session's seed, for a model with chance of its own."""
-    settle_s: Positive | None = None
-    """Seconds to run at the operating input before step 0."""
     initial_state: AsItStands = ()
     """None: it starts as it stands."""
 

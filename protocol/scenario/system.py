@@ -233,9 +233,6 @@ class Scenario(Brief, ScenarioTable):
             *self.defender.problems(self.n, self.m, self.readings),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
-        if self.network is not None:
-            repeats = self.link.repeats_per_period
-            problems += self.network.problems(self.plant.period_s, repeats)
         hers = self.eavesdropper_shape
         if self.secrecy.disturbance is not None:
             problems += shape_problem("secrecy.disturbance", hers.dimension, self.n)

@@ -2,7 +2,7 @@
 
 `told d` is no tap that there is: she is told every disturbance, and so is as strong as the bound's
 own. `law of d` knows the model and the deviation of d, and takes it for Gaussian. Both weigh every
-sequence of a short block of coins, so nothing is left out. `smoother` is the project's own, on a
+sequence of a short block of coins, so nothing is left out. `text` is the project's own, on a
 run of the same loop of which she hears the measurements through the same noise.
 """
 
@@ -18,7 +18,7 @@ from protocol.scenario import Scenario
 from studies.bound.loop import LinearLoop
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.smoother import Smoother
+from tap_service.eavesdroppers.text import Text
 from wyner.simulate.engine import simulate_runs
 
 TAIL: Final = 16
@@ -29,7 +29,7 @@ LEAST: Final = 1e-3
 
 
 class Left(NamedTuple):
-    """What a tap leaves of a coin, and the share of blocks that she has whole (a coin: `smoother`).
+    """What a tap leaves of a coin, and the share of blocks that she has whole (a coin: `text`).
 
     Parameters
     ----------
@@ -114,8 +114,8 @@ def block_left(
     return Left(*_mean(surprise), *_mean(right))
 
 
-def smoother_left(scenario: Scenario, noise: float, steps: int, runs: int, seed: int) -> Left:
-    """What `smoother` leaves, who is told the policy and hears measurements alone.
+def text_left(scenario: Scenario, noise: float, steps: int, runs: int, seed: int) -> Left:
+    """What `text` leaves, who is told the policy and hears measurements alone.
 
     The loop begins at the origin, where no constraint is ever active.
     """
@@ -130,7 +130,7 @@ def smoother_left(scenario: Scenario, noise: float, steps: int, runs: int, seed:
     for place in range(runs):
         x, coins = made.x[:, :, place], made.coin[:, place].tolist()
         heard = [tuple(v) for v in (x + noise * rng.standard_normal(x.shape)).tolist()]
-        tap = Smoother(view.knowledge(scenario.knowledge()))
+        tap = Text(view.knowledge(scenario.knowledge()))
         for k in range(steps):
             tap.observe(Transition("noise", k, heard[k], None, None, heard[k + 1], start=k == 0))
         said = {g.k: g.symbol for g in tap.review()}

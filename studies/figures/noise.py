@@ -44,9 +44,9 @@ def draw_bound(figure: Figure, data: Path) -> str:
     right.set_ylim(bottom=0)
     figure.suptitle("Watched through noise: the proof below, taps above, the claim flat")
     blocks = next(r for r in mine if r["tap"] == "told every d")
-    heard = next(r for r in mine if r["tap"] == "smoother")
+    heard = next(r for r in mine if r["tap"] == "text")
     return (
         f"The paper's plant, u = K x + p. {blocks['runs']} blocks of {blocks['steps']} coins; "
-        f"smoother: {heard['runs']} runs of {heard['steps']} steps; seed {heard['seed']}; "
+        f"text: {heard['runs']} runs of {heard['steps']} steps; seed {heard['seed']}; "
         "95 % normal intervals"
     )

@@ -25,10 +25,8 @@ __all__ = [
 LADDER: Final[dict[str, str]] = {
     "set-membership": "tap_service.eavesdroppers.set_membership:SetMembership",
     "nearest-centre": "tap_service.eavesdroppers.nearest_centre:NearestCentre",
-    "fitted-box": "tap_service.eavesdroppers.fitted_box:FittedBox",
     "list-decoder": "tap_service.eavesdroppers.list_decoder:ListDecoder",
     "learning": "tap_service.eavesdroppers.learning:Learning",
-    "smoother": "tap_service.eavesdroppers.smoother:Smoother",
     "text": "tap_service.eavesdroppers.text:Text",
     "oracle": "tap_service.eavesdroppers.oracle:Oracle",
     "key-solver": "tap_service.eavesdroppers.key_solver:KeySolver",

@@ -198,7 +198,7 @@ def _likelihoods(model: OutputModel, parts: Sequence[Stretch], tried: Array) -> 
     return total
 
 
-def refitted(model: OutputModel, transitions: Sequence[Transition], *, each: bool) -> OutputModel:
+def refitted(model: OutputModel, transitions: Sequence[Transition]) -> OutputModel:
     """The model with deviations that explain the newest readings best."""
     newest = transitions[-NEWEST_STEPS - LATER :]
     made = model.anew()
@@ -207,7 +207,7 @@ def refitted(model: OutputModel, transitions: Sequence[Transition], *, each: boo
         parts = stretches(newest, applied_in(made, newest))
         if not parts:
             break
-        deviations, sensors, _ = fitted_deviations(made, parts, each=each)
+        deviations, sensors, _ = fitted_deviations(made, parts, each=False)
         made.assume(deviations, sensors)
         if np.allclose(deviations, before):
             break

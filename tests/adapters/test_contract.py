@@ -161,26 +161,6 @@ def test_deviations_are_counted_from_the_operating_point_in_units_of_the_scale()
     assert plant.sample() == ((-6.5 + 6.0) / 2.0, (-1.0 + 2.0) / 4.0)
 
 
-def test_a_plant_that_settles_starts_where_it_came_to_rest() -> None:
-    class Leaky:
-        def reset(self, seed: int | None) -> list[float]:
-            self.x = 8.0
-            return [self.x]
-
-        def step(self, u: tuple[float, ...], period_s: float) -> list[float]:
-            self.x = 0.5 * self.x + u[0]
-            return [self.x]
-
-    point = OperatingPoint((0.0,), (3.0,), (1.0,), (1.0,))
-    plant = Operated(
-        SimulatedPlant(Leaky(), 1.0), point, Gauge(half_widths=(1.0,)), settle_steps=60
-    )
-    assert plant.start(None) == (0.0,)
-    assert plant.point.state == (6.0,)
-    plant.apply((1.0,))
-    assert plant.sample() == (1.0,)
-
-
 def test_clipping_is_by_component_in_a_box_and_along_the_input_elsewhere() -> None:
     assert clip((3.0, -0.5), Gauge(half_widths=(1.0, 2.0))) == (1.0, -0.5)
     diamond = Gauge(H=((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)), h=(1.0, 1.0, 1.0, 1.0))

@@ -8,7 +8,7 @@ from protocol.scenario import attack_of
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_pair import RecordedPair
 from tests.support.size import size
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 
 ONSET = 200
 STEPS = 60
@@ -27,10 +27,10 @@ def attacked(folder: Path, *, hears_all: bool) -> tuple[list[int], float]:
     )
     loop.run(lambda: loop.plant.state.record.link.k >= ONSET + STEPS)
     loop.stop()
-    alarms = [e["k"] for e in read_trace(folder / CONTROLLER_TRACE).of("alarm")]
+    alarms = [e["k"] for e in events_of(folder / CONTROLLER_TRACE, "alarm")]
     off = [
         max(abs(a - b) for a, b in zip(e["true_x_next"], e["x_next"], strict=True))
-        for e in read_trace(folder / PLANT_TRACE).of("transition")
+        for e in events_of(folder / PLANT_TRACE, "transition")
         if "true_x_next" in e
     ]
     return alarms, max(off, default=0.0)

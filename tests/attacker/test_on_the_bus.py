@@ -10,7 +10,7 @@ from attacker_service.attacker import Attacker
 from protocol.scenario import attack_of
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_pair import RecordedPair
-from tests.support.traces import Resolved, TraceReader
+from tests.support.traces import events_of
 
 pytestmark = pytest.mark.slow
 
@@ -20,29 +20,21 @@ LOOK = 5
 KEYED = '\n[defence]\ncoin = "keys"\n'
 
 
-def told(folder: Path, onset: int = 0) -> dict[str, Any]:
+def told(folder: Path) -> dict[str, Any]:
     """Alarms, and how far the plant was from what was read."""
-    lines = {
-        side: list(Resolved(TraceReader(folder / name).lines()))
-        for side, name in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE))
-    }
-    steps = [e for e in lines["plant"] if e["event"] == "transition"]
-    read = {e["k"] + 1: e["x_next"] for e in lines["controller"] if e["event"] == "transition"}
+    plant, controller = folder / PLANT_TRACE, folder / CONTROLLER_TRACE
+    steps = events_of(plant, "transition")
+    counted = events_of(controller, "transition")
+    read = {e["k"] + 1: e["x_next"] for e in counted}
     away = [
         max(abs(a - b) for a, b in zip(e["x_next"], read[e["k"] + 1], strict=True))
         for e in steps
         if e["k"] + 1 in read
     ]
     return {
-        "alarms": [e["k"] + 1 for e in lines["controller"] if e["event"] == "alarm"],
-        "last": max(e["k"] for e in steps),
+        "alarms": events_of(controller, "alarm"),
         "away": max(away, default=0.0),
-        "onset": onset,
-        "sessions": len({e["session"] for e in lines["plant"] if e["event"] == "session"}),
-        "watched": sum(
-            e["event"] == "transition" and e.get("expected", -1) >= 0 for e in lines["controller"]
-        ),
-        "spoofed": sum(e.get("true_x_next", e["x_next"]) != e["x_next"] for e in steps),
+        "watched": sum(e.get("expected", -1) >= 0 for e in counted),
     }
 
 
@@ -63,13 +55,12 @@ def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
 
     while steps(LOOK) < LOOK:
         assert loop.plant.state.record.link.k < 5000, "keys never come"
-    onset = loop.plant.state.record.link.k
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
     assert steps(60) == 60
     assert attacker.failed == ""
     loop.stop()
-    found = told(tmp_path, onset)
+    found = told(tmp_path)
     assert not found["alarms"]
     assert found["away"] > 4
     assert found["watched"] >= 60
@@ -85,11 +76,8 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
     assert attacker.failed == ""
     loop.stop()
     found = told(tmp_path)
-    missed = [e for e in TraceReader(tmp_path / PLANT_TRACE).lines() if e["event"] == "missed"]
+    missed = events_of(tmp_path / PLANT_TRACE, "missed")
     assert len(missed) > 5
     assert not found["alarms"]
     assert found["away"] > 4
     assert loop.wrong() == []
-
-
-# --- what cannot be -------------------------------------------------------------------------------

@@ -115,23 +115,20 @@ class View(NamedTuple):
 
 
 class End:
-    """One end, alive.
+    """One end, alive; each step has a deadline, so that steps are missed.
 
     Parameters
     ----------
     side : {"plant", "controller"}
     rules : Rules
-    timed : bool
-        A deadline each step, so that steps are missed; else lock-step.
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
     """
 
-    def __init__(self, side: Side, rules: Rules, *, timed: bool, acts: bool = False) -> None:
+    def __init__(self, side: Side, rules: Rules, *, acts: bool = False) -> None:
         self.side: Side = side
         self.device = LineDevice() if acts and side == "plant" else None
         self.rules = rules
-        self.timed = timed
         self.now = 0.0
         self.lives = 0
         self.view = View()
@@ -187,8 +184,7 @@ class End:
                 self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3
             )
         else:
-            step_s = STEP_S if self.timed else None
-            common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
+            common = self.new_session, instance, self.now, STEP_S, self.nonce, REPEATS
             self.endpoint, self.line = line_plant(
                 self.rules, self.journal, *common, device=self.device
             )

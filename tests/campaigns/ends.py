@@ -47,8 +47,6 @@ class Ends:
     ----------
     side : {"plant", "controller"}
     rules : Rules
-    timed : bool
-        A deadline each step.
     messages : dict of Mail to int
         The numbers of messages, shared by both ends.
     acts : bool
@@ -60,7 +58,6 @@ class Ends:
         side: Side,
         rules: Rules,
         *,
-        timed: bool,
         messages: "Messages",
         acts: bool = False,
     ) -> None:
@@ -77,7 +74,7 @@ class Ends:
         self._made: dict[tuple[int, Doing], tuple[Outcome, int]] = {}
         self._hears: dict[tuple[int, int], tuple[Outcome, ...]] = {}
         self._alone: dict[int, tuple[Outcome, ...]] = {}
-        end = End(side, rules, timed=timed, acts=acts)
+        end = End(side, rules, acts=acts)
         self.first = self._number(end)
         self.greeting = tuple([messages.number(message) for message in end.out])
 

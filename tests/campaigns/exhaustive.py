@@ -142,23 +142,18 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, required=True)
     parser.add_argument("--faults", type=int, default=2, help="deaths, lost journals, freezes")
-    parser.add_argument("--lockstep", action="store_true", help="steps have no deadline")
     parser.add_argument("--acts", action="store_true", help="the plant is a device")
     parser.add_argument("--no-keys", action="store_true", help="no key blocks are made")
     parser.add_argument("--coin", action="store_true", help="keys choose the plant's coin")
-    parser.add_argument("--remembered", type=int, default=2, help="messages on their way")
     parser.add_argument("--from-hello", action="store_true", help="begin before both ends met")
     parser.add_argument("--deepest", type=int, default=100)
-    parser.add_argument("--states", type=int, default=10**9, help="stop after so many")
     parser.add_argument("--seconds", type=float, default=float("inf"))
     args = parser.parse_args(argv)
     if args.coin and args.no_keys:
         parser.error("--coin: keys choose it, and --no-keys makes none")
     space = Space(
         args.scheme,
-        timed=not args.lockstep,
         keys=not args.no_keys,
-        remembered=args.remembered,
         acts=args.acts,
         coin=args.coin,
     )
@@ -175,7 +170,7 @@ def main(argv: list[str] | None = None) -> int:
         if now > told_at + TOLD_S:
             told_at = now
             print(told(), file=sys.stderr, flush=True)
-        return now < until and len(found.seen) < args.states
+        return now < until
 
     with short_keys():
         found = Exploration(

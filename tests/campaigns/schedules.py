@@ -3,9 +3,9 @@
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals. One in eight
 makes keys too. An eighth of these key the coin, and half of those that act seal the messages too;
 they take ten times as long. In half of all the
-plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. With
-``--networks`` each has a network table besides. Both endpoints, their journals and the shell are
-those of the services. ``--first`` goes on where another stopped.
+plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. Both
+endpoints, their journals and the shell are those of the services. ``--first`` goes on where another
+stopped.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from protocol.link.distiller import BlockEnded
 from protocol.link.events import Alarm, Event, Interrupted, Missed
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer
-from protocol.scenario import Network, Scenario, parse_scenario
+from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
 from protocol.secret import key_digits, stream
@@ -168,31 +168,6 @@ def faults_of(seed: int) -> tuple[Faults, float | None, int, bool]:
     return faults, draw.choice((None, 0.1)), steps, seed % 8 == 0
 
 
-def network_of(seed: int) -> Network:
-    """The network table of a seed: delays up to three periods, losses alone or in bursts."""
-    draw = random.Random(f"network {seed}")
-    period = 0.1
-
-    def way() -> dict[str, Any]:
-        late = draw.choice((0.0, 0.3, 1.0, 3.0)) * period
-        kind = draw.choice(("constant", "uniform", "gamma")) if late else "constant"
-        middle = late if kind == "constant" else late / 2
-        table: dict[str, Any] = {
-            "delay": kind,
-            "delay_s": middle,
-            "jitter_s": {"constant": 0.0, "uniform": middle, "gamma": middle / 2}[kind],
-            "loss": draw.choice((0.0, 0.05, 0.3)),
-            "reordering": draw.random() < 0.7,
-        }
-        if draw.random() < 0.4:
-            table |= {"loss_bad": 0.9, "to_bad": 0.1, "to_good": 0.4}
-        if draw.random() < 0.2:
-            table["rate_hz"] = 50.0
-        return table
-
-    return Network.model_validate({"to_plant": way(), "to_controller": way(), "seed": seed})
-
-
 class Watched(Simulation):
     """A simulation whose copies are looked at as they leave, and its device as it is told of."""
 
@@ -276,15 +251,13 @@ def watched(seed: int) -> bool:
     return seed % 8 == 0 and seed // 16 % 8 == 1
 
 
-def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
-    """What comes of the schedule of a seed, with a network table where asked."""
+def outcome_of(seed: int) -> Outcome:
+    """What comes of the schedule of a seed."""
     faults, step_s, steps, keyed = faults_of(seed)
     spends = watched(seed)
     if spends:
         steps = WATCHED_STEPS
     scenario, law = loop(keyed=keyed, acts=acts(seed), watched=spends)
-    if networks:
-        scenario = scenario.model_copy(update={"network": network_of(seed)})
     device = Acting(scenario, seed) if acts(seed) else None
     own: Callable[[], Stepped | PlantAdapter] | None = None
     if device is not None:
@@ -303,7 +276,7 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
             own=own,
         )
         with _changing() if spends else nullcontext():
-            history = link.run(steps=steps, seconds=200.0 if networks else 20.0)
+            history = link.run(steps=steps, seconds=20.0)
             stuck = link.k < steps
     except AssertionError as error:
         return Outcome(wrong=(f"{type(error).__name__}: {error}",))
@@ -341,7 +314,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--networks", action="store_true", help="a network table for each seed")
     args = parser.parse_args(argv)
     done: Counter[str] = Counter()
     told_at = time.monotonic()
@@ -350,7 +322,7 @@ def main(argv: list[str] | None = None) -> int:
         loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
     for seed in range(args.first, args.first + args.count):
-        outcome = outcome_of(seed, networks=args.networks)
+        outcome = outcome_of(seed)
         done.update(schedules=1, keys=outcome.keys, cut=outcome.cut, watched=outcome.watched)
         done.update(acting=int(acts(seed)), broken=int(bool(outcome.wrong)))
         if outcome.wrong:

@@ -29,6 +29,9 @@ WATCHED: Final = 16
 
 HELLO: Final[tuple[type[Message], ...]] = (PlantHello, ControllerHello)
 
+REMEMBERED: Final = 2
+"""Last messages of each direction that the network may still deliver."""
+
 HELLOS: Final = 2
 """Hellos of each direction that the network remembers beyond the last messages: those of lives that
 are over are among them."""
@@ -60,12 +63,8 @@ class Space:
     ----------
     scheme : str
         A name in :data:`tests.campaigns.loop.SCHEMES`.
-    timed : bool
-        A deadline each step, so that steps are missed; else lock-step.
     keys : bool
         Keys are made.
-    remembered : int
-        Last messages of each direction that the network may still deliver.
     acts : bool
         The plant is a device.
     coin : bool
@@ -77,13 +76,10 @@ class Space:
         self,
         scheme: str,
         *,
-        timed: bool,
         keys: bool,
-        remembered: int = 2,
         acts: bool = False,
         coin: bool = False,
     ) -> None:
-        self.remembered = remembered
         self.messages = Messages()
         rules = rules_of(scheme, keys=keys, coin=coin)
         self.keys, self.coin, self.size = keys, coin, rules.size
@@ -92,7 +88,6 @@ class Space:
                 Ends(
                     side,
                     rules,
-                    timed=timed,
                     messages=self.messages,
                     acts=acts,
                 )
@@ -124,7 +119,7 @@ class Space:
             last, hellos = both[1 - side]
             for message in said:
                 last = (*[other for other in last if other != message], message)
-                gone, last = last[: -self.remembered], last[-self.remembered :]
+                gone, last = last[:-REMEMBERED], last[-REMEMBERED:]
                 late = [other for other in gone if self.messages[other].kind in HELLO]
                 hellos = tuple([other for other in hellos if other not in (message, *late)] + late)
                 hellos = hellos[-HELLOS:]

@@ -14,11 +14,8 @@ from tests.campaigns import exhaustive, live, schedules
 from tests.secret.test_keys_machine import WRONG
 
 
-@pytest.mark.parametrize("networks", [[], ["--networks"]], ids=["", "networks"])
-def test_seeded_schedules_break_nothing(
-    networks: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert schedules.main(["--first", "16", "--count", "40", *networks]) == 0
+def test_seeded_schedules_break_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert schedules.main(["--first", "16", "--count", "40"]) == 0
     done = json.loads(capsys.readouterr().out)
     assert (done["schedules"], done["broken"]) == (40, 0)
     assert min(done["keys"], done["acting"]) > 0

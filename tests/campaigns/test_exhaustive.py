@@ -21,8 +21,7 @@ from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
 from tests.secret.test_keys_machine import WRONG as WRONG_STREAMS
-from tests.support.asked import hasty
-from tests.support.broken import FIRST_COPY, broken
+from tests.support.broken import FIRST_COPY, broken, hasty
 from tests.support.size import size
 
 Patch = pytest.MonkeyPatch
@@ -35,7 +34,7 @@ Patch = pytest.MonkeyPatch
 )
 def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     starts = slice(size(-3, -6), -1)
-    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 3, 2, starts)
+    found = shortest(Space(scheme, keys=True, acts=acts), 3, 2, starts)
     assert not found.why, (found.why, found.path)
     assert len(found.seen) > size(1500, 2000)
 
@@ -52,7 +51,7 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
     scheme: str, acts: bool, coin: bool
 ) -> None:
     with short_keys():
-        space = Space(scheme, timed=True, keys=True, acts=acts, coin=coin)
+        space = Space(scheme, keys=True, acts=acts, coin=coin)
         found = shortest(space, 3, 2, slice(-4, -1))
     assert not found.why, (found.why, found.path)
     assert len(found.seen) > 1500
@@ -63,7 +62,7 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
 def test_a_wrong_stream_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
     wrong(monkeypatch)
     with short_keys():
-        found = shortest(Space("sealed", timed=True, keys=True), 4, 1, slice(-4, -1))
+        found = shortest(Space("sealed", keys=True), 4, 1, slice(-4, -1))
     assert found.why
     assert len(found.path) <= 4
 
@@ -71,10 +70,10 @@ def test_a_wrong_stream_is_found(wrong: Callable[[Patch], None], monkeypatch: Pa
 @pytest.mark.long
 def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
     """Ends that are never packed come to the same states, and say the same."""
-    space = Space("switched", timed=True, keys=True)
+    space = Space("switched", keys=True)
     for seed in range(size(3, 6)):
         draw = random.Random(seed)
-        ends = [End(side, rules_of("switched", keys=True), timed=True) for side in SIDES]
+        ends = [End(side, rules_of("switched", keys=True)) for side in SIDES]
         states = [end.first for end in space.ends]
         sent: list[list[int]] = [list(end.greeting) for end in space.ends]
         for _ in range(150):
@@ -145,7 +144,7 @@ def test_a_hello_of_a_former_life_ends_nothing(
     rule: Callable[[Patch], None], monkeypatch: Patch
 ) -> None:
     rule(monkeypatch)
-    found = shortest(Space("switched", timed=True, keys=False), 5, 1, slice(-4, -3))
+    found = shortest(Space("switched", keys=False), 5, 1, slice(-4, -3))
     assert bool(found.why) == (rule is not as_it_is)
     assert not found.why or len(found.path) == 5
 
@@ -200,6 +199,6 @@ def test_a_broken_rule_is_found_with_a_shortest_counterexample(
     mutant: Callable[[Patch], None], keys: bool, monkeypatch: Patch
 ) -> None:
     mutant(monkeypatch)
-    found = shortest(Space("switched", timed=True, keys=keys), 9, 1)
+    found = shortest(Space("switched", keys=keys), 9, 1)
     assert found.why
     assert 0 < len(found.path) <= 9

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S
 from wyner.cli.main import main
 
@@ -25,7 +24,6 @@ NAMED = (
     ("tap", "--run-dir", "OUT", "--knowledge", "PIPE"),
     ("plant", "--run-dir", "OUT", "--fleet", "PIPE"),
     ("certs", "FOLDER", "--name", "plant"),
-    ("up", "--scenario", "DELAYS", "--steps", "1"),
 )
 
 
@@ -74,14 +72,10 @@ def test_no_command_waits_at_a_pipe_that_it_is_given(
     for path in (pipe, certs / "ca.pem"):
         os.mkfifo(path)
     (certs / "ca-key.pem").touch()
-    text = (SCENARIOS / "sustained.toml").read_text()
-    delays = '[network.to_plant]\ndelay = "measured"\nfile = "pipe"\n'
-    (tmp_path / "delays.toml").write_text(f"{text}\n{delays}")
     words = {
         "PIPE": str(pipe),
         "OUT": str(tmp_path / "out"),
         "FOLDER": str(certs),
-        "DELAYS": str(tmp_path / "delays.toml"),
     }
     told = said(
         [words.get(w, w.replace("OUT", words["OUT"]).replace("PIPE", str(pipe))) for w in command]

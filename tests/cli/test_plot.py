@@ -24,7 +24,7 @@ def rows_file(folder: Path, *rows: str) -> Path:
         ("bits_per_second", "message rate (bit/s), which is not secrecy"),
         ("plant.period_s", "plant: period (s)"),
         ("defender.disturbance.half_widths", "defender: disturbance: half widths"),
-        ("smoother keys known", "smoother keys known, share"),
+        ("text keys known", "text keys known, share"),
         ("tap.loss", "tap: loss"),
     ],
 )

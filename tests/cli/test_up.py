@@ -77,29 +77,12 @@ def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path
     assert session.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
 
 
-def test_wrong_delays_are_one_line_before_anything_starts(tmp_path: Path, capsys: Any) -> None:
-    """The services started, one ended, and the run of no step was summed up."""
-    text = (SCENARIOS / "sustained.toml").read_text()
-    way = '[network.to_plant]\ndelay = "measured"\nfile = "delays.txt"\n'
-    file, run_dir = tmp_path / "traced.toml", tmp_path / "run"
-    file.write_text(f"{text}\n{way}")
-    (tmp_path / "delays.txt").write_text("0.01\nsoon\n")
-    options = ["--scenario", str(file), "--run-dir", str(run_dir)]
-    for command in (["up", "--headless"], ["plant", "--check"], ["controller", "--check"]):
-        assert main([*command, *options]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.count("\n") == 1
-        assert "delays.txt: delay 2: got soon, expected seconds, 0 or more" in said.err
-        assert not run_dir.exists()
-
-
 @pytest.mark.parametrize("name", ["sealed", "watched"])
 def test_a_run_that_ends_before_its_first_key_is_one_line(
     name: str, tmp_path: Path, capsys: Any
 ) -> None:
     run_dir = tmp_path / "run"
-    options = ["--scenario", name, "--run-dir", str(run_dir), "--headless"]
+    options = ["--scenario", name, "--run-dir", str(run_dir)]
     assert main(["up", *options, "--steps", "48"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
@@ -127,7 +110,7 @@ def test_a_claim_that_makes_no_key_is_one_line_before_anything_starts(
     file, run_dir = tmp_path / "changed.toml", tmp_path / "run"
     file.write_text(text.replace(old, new).replace(rest, ""), encoding="utf-8")
     options = ["--scenario", str(file), "--message", "hi", "--run-dir", str(run_dir)]
-    assert main(["up", "--headless", *options]) == 2
+    assert main(["up", *options]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1

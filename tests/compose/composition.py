@@ -273,23 +273,3 @@ def under_way(
     )
     assert begun["queue"] == 0
     return begun
-
-
-class Beside:
-    """A Python program in a service's container that is ready, and runs until it is enough."""
-
-    def __init__(self, system: Composition, service: str, program: str, *arguments: str) -> None:
-        container = system.container(service)
-        self._process = subprocess.Popen(
-            ["docker", "exec", "--interactive", container, "python", "-c", program, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    def enough(self) -> Any:
-        """End it; returns what it said at last."""
-        said, _ = self._process.communicate("enough\n", timeout=PATIENCE_S)
-        return json.loads(said)

@@ -56,16 +56,6 @@ def test_a_paused_service_is_waited_for(direct: Composition, service: str) -> No
     arrives(direct, "plant", text)
 
 
-def test_a_frozen_tap_holds_nobody_up(direct: Composition) -> None:
-    advancing(direct)
-    docker("pause", direct.container("tap"))
-    try:
-        direct.send("tap frozen")
-        arrives(direct, "plant", "tap frozen")
-    finally:
-        docker("unpause", direct.container("tap"))
-
-
 def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path: Path) -> None:
     """The run's files, collected from the three volumes, pass the replay of `wyner check`."""
     direct.compose("stop")

@@ -80,16 +80,10 @@ def test_nearly_parallel_facets_are_kept(paper: Scenario, weight: float) -> None
     inputs, D_c = paper.control.inputs, paper.defender.disturbance
     offsets = choose_alphabet(paper.B, D_c, inputs, alpha=8, size=4).offsets
     for D in (D_c, larger_disturbance(D_c, paper.B, offsets)):
-        T0, _ = terminal_set(Ac, D.scaled(1.0001), None)
+        T0, _ = terminal_set(Ac, D.scaled(1.0001))
         V, DV = corners(T0.H, T0.h), set_corners(D)
         reach = ((V @ Ac.T @ T0.H.T).max(axis=0) + (DV @ T0.H.T).max(axis=0)) / T0.h
         assert reach.max() <= 1 - 1e-9
-
-
-def test_the_order_can_be_stated(paper: Scenario) -> None:
-    low, high = (synthesise(changed(paper, terminal_order=s, horizon=1)) for s in (6, 20))
-    assert (low.terminal.order, high.terminal.order) == (6, 20)
-    assert high.terminal.bound < low.terminal.bound
 
 
 def steered(scenario: Scenario, design: Design, numbers: set[int]) -> None:
@@ -192,7 +186,7 @@ def test_a_disturbance_of_many_facets_is_designed_in_little_memory() -> None:
     Ac = 0.96 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
     D = Polytope(H, np.full(200, 0.12))
     tracemalloc.start()
-    T0, terminal = rakovic(Ac, D, None)
+    T0, terminal = rakovic(Ac, D)
     assert tracemalloc.get_traced_memory()[1] < 200e6
     tracemalloc.stop()
     V = planar_vertices(T0)
@@ -207,7 +201,6 @@ def test_a_disturbance_of_many_facets_is_designed_in_little_memory() -> None:
         ({"gain": [[1.0, 0.0]]}, "does not stabilise"),
         ({"inputs": {"half_widths": [3.0]}}, "not within control.inputs"),
         ({"states": {"half_widths": [0.2, 0.2]}}, "control.states"),
-        ({"terminal_order": 1}, "control.terminal_order"),
     ],
 )
 def test_refusals_are_one_line(paper: Scenario, fields: dict[str, Any], words: str) -> None:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ from runtime.bus import Deliver
 from runtime.services import BUSES, SERVICES, on_bus
 from runtime.zenoh_bus import ZenohBus, open_router
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.traces import Recovered
+from tests.support.traces import recovered_in
 from wyner.cli.main import main
 from wyner.deployment.access import access_control
 from wyner.deployment.certificates import ensure_certificates
@@ -181,7 +182,7 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
     try:
         assert send("by the operator", "operator", f"{PATIENCE_S - 60:.0f}") == 0
         assert send("by somebody who may only look", "dashboard", "2") == 1
-        recovered = Recovered(tmp_path)
+        recovered = partial(recovered_in, tmp_path)
         wait_for(recovered)
         assert recovered() == [b"by the operator"]
         for process in reversed(running):

@@ -32,89 +32,41 @@ def not_source(folder: str, names: list[str]) -> set[str]:
     return BUILT(folder, names) | ({"runs"} if Path(folder) == ROOT else set())
 
 
+def pip(*arguments: str, cwd: Path) -> None:
+    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments]
+    subprocess.run(command, cwd=cwd, check=True, timeout=PATIENCE_S)
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     shutil.copytree(ROOT, folder / "source", ignore=not_source)
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pip",
-            "wheel",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-deps",
-            "--no-build-isolation",
-            "--wheel-dir",
-            str(folder),
-            "./source",
-        ],
-        cwd=folder,
-        check=True,
-        timeout=PATIENCE_S,
-    )
+    pip("wheel", "--no-deps", "--no-build-isolation", "./source", cwd=folder)
     shutil.rmtree(folder / "source")
     (found,) = folder.glob("*.whl")
     return found
 
 
-class Installed:
-    """An environment that has the wheel, and its dependencies from the one that tests run in."""
-
-    def __init__(self, wheel: Path, folder: Path) -> None:
-        self.folder = folder
-        subprocess.run(
-            [sys.executable, "-m", "venv", "--without-pip", str(folder / "env")],
-            check=True,
-            timeout=PATIENCE_S,
-        )
-        self.python = folder / "env" / "bin" / "python"
-        subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "pip",
-                "--python",
-                str(self.python),
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-                "--no-deps",
-                "--no-index",
-                str(wheel),
-            ],
-            check=True,
-            timeout=PATIENCE_S,
-        )
-        (packages,) = (folder / "env" / "lib").glob("python*/site-packages")
-        # A path in a .pth file comes last, and .pth files there are not followed: the source tree
-        # of an editable installation stays out of sight.
-        (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-        self.packages = packages
-
-    def run(self, *arguments: str, code: int = 0) -> str:
-        return self._told("wyner", arguments, code)
-
-    def _told(self, program: str, arguments: tuple[str, ...], code: int) -> str:
-        hidden = {"PYTHONPATH", "XDG_CACHE_HOME"}
-        done = subprocess.run(
-            [str(self.folder / "env" / "bin" / program), *arguments],
-            capture_output=True,
-            text=True,
-            cwd=self.folder,
-            env={k: v for k, v in os.environ.items() if k not in hidden}
-            | {"XDG_CACHE_HOME": str(self.folder / "cache")},
-            timeout=PATIENCE_S,
-            check=False,
-        )
-        assert done.returncode == code, done.stderr
-        return done.stdout if code == 0 else done.stderr
-
-
 @pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    return Installed(wheel, tmp_path_factory.mktemp("away"))
+def away(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder away from the source tree, in which the wheel is installed."""
+    folder = tmp_path_factory.mktemp("away")
+    pip("install", "--no-deps", "--no-index", "--target", "installed", str(wheel), cwd=folder)
+    return folder
+
+
+def wyner(away: Path, *arguments: str) -> str:
+    """What the installed command says, with the tests' libraries and without the source tree."""
+    installed = away / "installed"
+    # Without `site` no .pth file is followed, and so none that leads to the source tree.
+    command = [sys.executable, "-S", str(installed / "bin" / "wyner"), *arguments]
+    path = os.pathsep.join([str(installed), sysconfig.get_path("purelib")])
+    env = os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(away / "cache")}
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=away, env=env, timeout=PATIENCE_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_what_is_installed_and_no_more(wheel: Path) -> None:
@@ -129,17 +81,14 @@ def test_what_is_installed_and_no_more(wheel: Path) -> None:
     assert not [name for name in files if name.endswith(".csv")]
 
 
-def test_a_run(installed: Installed) -> None:
-    out = installed.run(
-        *("up", "--scenario", "sustained", "--pace", "fast", "--until-delivered", "--headless"),
-        *("--message", "Hi"),
-    )
+def test_a_run(away: Path) -> None:
+    options = ["--scenario", "sustained", "--pace", "fast", "--until-delivered"]
+    out = wyner(away, "up", *options, "--message", "Hi")
     assert "bits by the paper's rule. True: at most" in out
-    (run,) = (installed.folder / "runs").iterdir()
-    out = installed.run("check", str(run))
-    assert " 0 FAIL" in out
+    (run,) = (away / "runs").iterdir()
+    assert " 0 FAIL" in wyner(away, "check", str(run))
 
 
-def test_a_figure(installed: Installed) -> None:
-    installed.run("design", "packed", "--plot", "mine.svg")
-    assert (installed.folder / "mine.svg").stat().st_size > 10_000
+def test_a_figure(away: Path) -> None:
+    wyner(away, "design", "packed", "--plot", "mine.svg")
+    assert (away / "mine.svg").stat().st_size > 10_000

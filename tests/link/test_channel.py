@@ -48,8 +48,8 @@ FATES = Fates("1 to_plant")
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 def test_a_delay_is_the_one_that_the_second_number_stands_for(scale: float) -> None:
-    def delays(measured: tuple[float, ...] = (), **table: Any) -> list[float | None]:
-        way = Channel(ChannelTable(**table), "1 to_plant", measured, scale)
+    def delays(**table: Any) -> list[float | None]:
+        way = Channel(ChannelTable(**table), "1 to_plant", scale)
         return [way.arrival(k, 0.0) for k in (3, 4, 4)]
 
     late = [FATES.at(k, copy)[1] for k, copy in ((3, 0), (4, 0), (4, 1))]
@@ -57,8 +57,6 @@ def test_a_delay_is_the_one_that_the_second_number_stands_for(scale: float) -> N
     assert delays(delay_s=0.25) == [scale * 0.25] * 3
     uniform = [scale * (3.0 + (2.0 * u - 1.0) * 2.0) for u in late]
     assert delays(delay="uniform", delay_s=3.0, jitter_s=2.0) == uniform
-    file = (0.1, 0.2, 0.4, 0.8, 1.6)
-    assert delays(file, delay="measured", file="f") == [scale * file[int(5 * u)] for u in late]
     gamma = [scale * random.Random(u).gammavariate(4.0, 0.25) for u in late]
     assert delays(delay="gamma", delay_s=1.0, jitter_s=0.5) == gamma
 
@@ -67,12 +65,6 @@ def test_a_message_is_lost_where_its_number_is_below_the_loss() -> None:
     lost, _ = FATES.at(5, 0)
     assert channel(loss=lost).arrival(5, 0.0) == 0.0
     assert channel(loss=nextafter(lost, 1)).arrival(5, 0.0) is None
-
-
-def test_a_way_that_is_narrow_carries_one_message_after_the_other() -> None:
-    way = Channel(ChannelTable(rate_hz=4.0, delay_s=1.0), "1 to_plant", scale=2.0)
-    sent = [(0, 0.0), (1, 0.0), (2, 0.25), (3, 5.0), (3, 5.5)]
-    assert [way.arrival(k, now) for k, now in sent] == [2.5, 3.0, 3.5, 7.5, 8.0]
 
 
 def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:

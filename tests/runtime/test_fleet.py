@@ -34,7 +34,7 @@ from runtime.run_folder import (
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'
@@ -142,9 +142,9 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
         assert "3 of 3 loops without a warning" in capsys.readouterr().out
     sessions = set()
     for name in names:
-        trace = read_trace(tmp_path / name / PLANT_TRACE)
-        assert [e["payload"] for e in trace.of("recovered")] == ["aGk="]
-        sessions |= {e["session"] for e in trace.of("transition")}
+        trace = tmp_path / name / PLANT_TRACE
+        assert [e["payload"] for e in events_of(trace, "recovered")] == ["aGk="]
+        sessions |= {e["session"] for e in events_of(trace, "transition")}
         status = hosts.status(name)
         assert status is not None
         assert len(status.latency_counts) == len(LATENCY_BOUNDS_S) + 1
@@ -209,8 +209,8 @@ def test_every_loop_of_a_fleet_has_a_keyed_coin_after_its_first_block(tmp_path: 
     with hosts.running("realtime"):
         hosts.wait(lambda: all(map(keyed, names)))
     for name in names:
-        trace = read_trace(tmp_path / name / CONTROLLER_TRACE)
-        served = [e["k"] for e in trace.of("transition") if e.get("keyed")]
-        after = [e["k"] for e in trace.of("transition") if e["k"] >= served[0]]
+        trace = tmp_path / name / CONTROLLER_TRACE
+        served = [e["k"] for e in events_of(trace, "transition") if e.get("keyed")]
+        after = [e["k"] for e in events_of(trace, "transition") if e["k"] >= served[0]]
         assert served == after
-        assert not list(trace.of("alarm"))
+        assert not events_of(trace, "alarm")

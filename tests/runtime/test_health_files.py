@@ -3,7 +3,6 @@
 import json
 import logging
 import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -11,11 +10,10 @@ from typing import cast
 import pytest
 
 from protocol.messages import ControllerStatus, Status
-from runtime.health import look_at_status, read_status
-from runtime.health_files import HealthFiles, HealthWriter
-from tests.link.test_controller_tells import Told
-from tests.support.end_in_hand import status_of
+from runtime.health import HealthFiles, HealthWriter, read_status
+from runtime.run_folder import CONTROLLER_STATUS
 from tests.support.patience import PATIENCE_S
+from tests.support.recorded_pair import RecordedPair
 
 LOG = logging.getLogger("health files")
 
@@ -29,6 +27,10 @@ class Short(SimpleNamespace):
 
 def status(transitions: int) -> Status:
     return cast("Status", Short(transitions=transitions, phase="running"))
+
+
+def health(path: Path) -> str:
+    return str(json.loads(path.read_bytes())["health"])
 
 
 class OnDisk(HealthFiles):
@@ -93,16 +95,17 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
     with caplog.at_level(logging.INFO):
         files.write(status(50), 5.0)
         assert "the status is written again" in caplog.text
-        assert look_at_status(tmp_path, time.time()).health.startswith("bad: this file could not")
+        assert health(path).startswith("bad: this file could not")
         files.write(status(60), 6.0)
-    assert look_at_status(tmp_path, time.time()).health == "ok: 0 % missed lately"
+    assert health(path) == "ok: 0 % missed lately"
 
 
 def test_a_status_begins_with_its_health_and_is_read_without_it(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "status.json"
-    HealthFiles(path, LOG).write(status_of(Told().at_work().core), 0.0)
-    assert path.read_bytes().startswith(b'{"health":"ok: ')
-    found = read_status(path, ControllerStatus)
-    assert found.transitions == 2
+    loop = RecordedPair(tmp_path, name="packed")
+    loop.steps(25)
+    path = tmp_path / CONTROLLER_STATUS
+    assert path.read_bytes().startswith(b'{"health":"')
+    assert read_status(path, ControllerStatus).transitions > 0
+    loop.stop()

@@ -1,16 +1,12 @@
 """Whether an end keeps up: judged from its counts, told once, read without an interpreter."""
 
 import os
-import shutil
 import subprocess
 import time
-from collections import namedtuple
 from collections.abc import Sequence
 from pathlib import Path
 
-import pytest
-
-from runtime.health_files import DiskSpace, Liveness
+from runtime.health import Liveness
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,14 +59,14 @@ def test_a_partner_that_freezes_is_not_called_slow() -> None:
     ]
 
 
-def test_a_short_stop_is_told_as_a_stop() -> None:
+def test_a_short_stop_is_told_once_and_its_end_once() -> None:
     """Ten steps a second; the other end stops for four seconds, too short to be called gone."""
     before = [(t, 10 * t, 0) for t in range(1, 21)]
     frozen = [(20 + t, 200, 10 * t) for t in range(1, 5)]
     after = [(24 + t, 200 + 10 * t, 40) for t in range(1, 21)]
     told = [notice for _, notice in lines([*before, *frozen, *after]) if notice]
     assert len(told) == 2
-    assert told[0].endswith("the other end, its network or this machine stood still for about 5 s")
+    assert told[0].endswith("or this machine is too slow for the pace, or stood still")
     assert told[1].startswith("keeps up again")
 
 
@@ -90,19 +86,6 @@ def test_many_missed_steps_are_no_health() -> None:
     assert "too slow for the pace" in told[-1][0]
     few = lines([(t, 90 * t, 10 * t) for t in range(1, 20)])
     assert few[-1][0].endswith("10 % missed lately")
-
-
-def test_a_disk_that_fills_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage = namedtuple("usage", "free")
-    free = iter([10**12, 100 << 20, 90 << 20, 300 << 20, 600 << 20, 600 << 20])
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(next(free)))
-    space = DiskSpace(tmp_path)
-    told = [space.look() for _ in range(6)]
-    assert [(line.split(":")[0], good) for line, good in told if line] == [
-        ("disk nearly full", False),
-        ("room again", True),
-    ]
-    assert [bool(line) for line, _ in told] == [False, True, False, False, True, False]
 
 
 def healthy(folder: Path) -> tuple[int, str]:

@@ -22,7 +22,7 @@ from runtime.run_folder import (
 from runtime.scenario_file import load_scenario
 from tests.support.pair import SIDES
 from tests.support.recorded_pair import RecordedPair
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 
 RUN = 16
 """Digits in a row that are looked for: 32 bits, so that none is found by chance."""
@@ -143,5 +143,5 @@ def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -
 
 def newest(stopped: Stopped, side: Side) -> Position:
     """Of the digits that have served, as an end has counted."""
-    trace = read_trace(stopped.folder / TRACES[side])
-    return max(Position(*e["digits"]) for e in trace.of("transition") if e.get("keyed"))
+    steps = events_of(stopped.folder / TRACES[side], "transition")
+    return max(Position(*e["digits"]) for e in steps if e.get("keyed"))

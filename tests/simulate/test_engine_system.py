@@ -5,7 +5,6 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.plain_loop import plain_run
 from tests.support.size import size
-from tests.support.traces import TraceReader
+from tests.support.traces import events_of
 from wyner.simulate.engine import simulate_runs, transfer
 
 TEXT = "Meet me where the river bends, at the second lamp after the bridge."
@@ -32,14 +31,10 @@ def system(name: str) -> tuple[Scenario, CandidateLaw]:
 
 def up(folder: Path, *options: str) -> None:
     """The three services as processes over Zenoh on loopback."""
-    command = [sys.executable, "-m", "wyner.cli.main", "up", "--headless", "--pace", "fast"]
+    command = [sys.executable, "-m", "wyner.cli.main", "up", "--pace", "fast"]
     command += ["--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-def events(path: Path, kind: str) -> list[dict[str, Any]]:
-    return [event for event in TraceReader(path) if event["event"] == kind]
 
 
 @pytest.mark.long
@@ -66,7 +61,7 @@ def test_live_services_and_engine_are_one_system(
     assert runs.candidates is not None
     assert runs.gauges is not None
     for side, trace in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE)):
-        made = events(tmp_path / trace, "transition")
+        made = events_of(tmp_path / trace, "transition")
         # the controller may lack the last: the plant waits a second for its report to be heard
         assert steps - (side == "controller") <= len(made) <= steps
         for j, event in enumerate(made):
@@ -89,7 +84,7 @@ def test_live_services_and_engine_are_one_system(
             # as text, so that a zero of the other sign is another number
             assert to_json({name: event[name] for name in expected}) == to_json(expected)
     for trace, kind in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
-        arrived = [base64.b64decode(e["payload"]) for e in events(tmp_path / trace, kind)]
+        arrived = [base64.b64decode(e["payload"]) for e in events_of(tmp_path / trace, kind)]
         assert arrived == ([] if name == "paper" else [text.encode()])
 
 

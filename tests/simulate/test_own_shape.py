@@ -11,8 +11,7 @@ from controller_service.sets.separation import AlphabetError, Separation
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ConvexSet, Scenario
 from studies.signalling import changed
-from tap_service.eavesdroppers import named, reading
-from tap_service.eavesdroppers.fitted_box import FittedBox
+from tap_service.eavesdroppers import named
 from tap_service.inference.fitted_shape import fitted_widths
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
@@ -67,44 +66,10 @@ def test_the_nearest_in_her_shape_is_the_key_only_where_it_is_that_of_d_c(
     shares = [rights("nearest-centre", case, place)[0] for place in range(3)]
     assert np.mean(shares) == pytest.approx(nearest, abs=0.04)
     for place in range(3):
-        share, whole = rights("fitted-box", case, place)
+        share, whole = rights("text", case, place)
         assert share == 1.0
         assert MESSAGE in whole
         assert rights("oracle", case, place) == (1.0, [MESSAGE])
-
-
-def test_what_she_found_is_the_box_of_d() -> None:
-    scenario, runs, link = played((0.24, 0.96))
-    tap = FittedBox(scenario.knowledge())
-    for t in transcript(runs, link, 0):
-        tap.observe(t)
-    tap.review()
-    assert np.array(tap.gauge.h) == pytest.approx(0.1, abs=0.012)
-
-
-def test_a_long_run_keeps_a_bounded_past_and_loses_no_guess(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(reading, "KEPT", 256)
-    scenario, runs, link = played((0.24, 0.96), steps=400)
-    tap = FittedBox(scenario.knowledge())
-    for t in transcript(runs, link, 0):
-        tap.observe(t)
-    steps = [g.k for g in (*tap.final_guesses, *tap.review())]
-    assert steps == list(range(400))
-
-
-def test_steps_that_were_missed_are_guessed_evenly() -> None:
-    scenario, runs, link = played((0.24, 0.96))
-    tap = FittedBox(scenario.knowledge())
-    for t in transcript(runs, link, 0):
-        lost = t.k % 5 == 0
-        heard = t if not lost else type(t)(t.session, t.k, t.x, None, None, t.x_next)
-        assert (tap.observe(heard).symbol == (0.5, 0.5)) or not lost
-    best = {g.k: g for g in tap.review()}
-    keys = link.agreed[:, 0]
-    assert all(best[k].best == keys[k] for k in range(600) if k % 5 and keys[k] != NO_SYMBOL)
-    assert best[5].symbol == (0.5, 0.5)
 
 
 def test_a_fit_of_noise_alone_is_not_trusted_to_be_smaller_than_the_noise() -> None:

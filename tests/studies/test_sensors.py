@@ -13,6 +13,7 @@ from studies.__main__ import main
 from tap_service.capture.transcript import Transcript
 from tools.reproduce import same
 from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.taps import public_messages
 
 
 def recorded(name: str) -> list[dict[str, str]]:
@@ -46,7 +47,7 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
     )  # fmt: skip
     assert runs.missed is not None
     link = transfer(runs, payloads=[b"Hi"])
-    said = list(missed_steps.messages_of(runs, link))
+    said = list(public_messages(runs, link, 0, "0" * 16))
     offered = {m.k for m in said if isinstance(m, Offer)}
     assert {k for k in range(60) if k not in offered} == set(np.flatnonzero(runs.missed[:, 0]))
     assert 0 < runs.missed.sum() < 10
@@ -67,7 +68,7 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
 
 def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one: 1 run of 60 steps, the lightest listeners."""
-    for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "smoother"))):
+    for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "text"))):
         monkeypatch.setattr(outputs, name, value)
     made = (row for c in outputs.CONDITIONS for row in outputs.output_rows(c))
     rows = [dict(zip(outputs.COLUMNS.split(), row, strict=True)) for row in made]
@@ -76,7 +77,7 @@ def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) ->
     ]
     for row in rows:
         assert 0 <= row["later_low"] <= row["later"] / row["keys_of"] <= row["later_high"] <= 1
-        if row["tap"] == "smoother" and row["condition"] == "clear":
+        if row["tap"] == "text" and row["condition"] == "clear":
             assert row["later"] > 0.9 * row["keys_of"]
 
 

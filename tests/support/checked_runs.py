@@ -19,7 +19,7 @@ from wyner.runs.check.evidence import read_evidence
 STEPS: Final = 400
 """Three blocks begin within them."""
 
-EAVESDROPPERS: Final = ["nearest-centre", "smoother", "key-solver"]
+EAVESDROPPERS: Final = ["nearest-centre", "text", "key-solver"]
 """One that guesses at once, one that thinks, and the one that solves for keys."""
 
 
@@ -63,7 +63,6 @@ def _run_with_keys(folder: Path) -> None:
             message="hi",
             pace=pace,
             steps=STEPS,
-            headless=True,
             json=True,
             run_dir=str(folder),
         )

@@ -124,7 +124,7 @@ def imported(statement: str) -> set[str]:
             "from wyner.sweeps.running import run_task;"
             "from runtime.scenario_file import scenario_of;"
             "s = scenario_of('packed').model_dump_json();"
-            "run_task(s, [8.0], 1, 0, 1, 9, ['smoother', 'text'], 'Hi')",
+            "run_task(s, [8.0], 1, 0, 1, 9, ['list-decoder', 'text'], 'Hi')",
             LOOP,
             DOORS,
         ),

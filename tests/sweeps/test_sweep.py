@@ -1,4 +1,4 @@
-"""Sweeps: the grid, additive rows, the stopping rule, resuming, and every executor alike."""
+"""Sweeps: the grid, additive rows, resuming, and every executor alike."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from runtime.shipped import SCENARIOS, scenario_file_of
+from runtime.shipped import scenario_file_of
 from tests.support.patience import PATIENCE_S
 from wyner import api
 from wyner.cli.main import main
@@ -95,34 +95,6 @@ def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path
         assert task(TEXT.replace(*change)) != first, change
 
 
-def test_measured_delays_are_looked_for_beside_the_scenario_and_name_the_task(
-    tmp_path: Path,
-) -> None:
-    """Another file is another task; the same one elsewhere is not."""
-    text = (SCENARIOS / "sustained.toml").read_text(encoding="utf-8")
-    way = '[network.to_plant]\ndelay = "measured"\nfile = "delays.txt"\n'
-    grid = '"network.to_plant.loss" = [0.0, 1.0]\n'
-    task = {}
-    for place, delays in (("one", "0.01\n0.3\n"), ("two", "0.01\n0.3\n"), ("three", "0.02\n")):
-        folder = tmp_path / place
-        folder.mkdir()
-        (folder / "traced.toml").write_text(f"{text}\n{way}", encoding="utf-8")
-        (folder / "delays.txt").write_text(delays, encoding="utf-8")
-        path = small(folder, grid, TEXT.replace('"sustained"', '"traced.toml"'))
-        points = points_of(load_sweep(path), folder)
-        task[place] = {point.task for point in points}
-    assert task["one"] == task["two"]
-    assert not task["one"] & task["three"]
-    carried = {False: 0, True: 0}
-    for row in rows_of(path, tmp_path / "out.csv"):
-        carried[json.loads(row["network.to_plant.loss"]) == 1.0] += row["message_symbols"]
-    assert carried[False] > 0 == carried[True]
-    (folder / "delays.txt").write_text("0.01\nsoon\n", encoding="utf-8")
-    with pytest.raises(SweepError, match="delay 2: got soon, expected seconds") as refused:
-        points_of(load_sweep(path), folder)
-    assert len(refused.value.problems) == 1
-
-
 def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: Path) -> None:
     text = (
         'name = "k"\nscenario = "keys"\nruns = 1\nsteps = 40\nseed = 3\n'
@@ -198,8 +170,8 @@ def test_rows_add_up_to_the_same_whatever_the_batch(tmp_path: Path) -> None:
     )
     three = summarise(rows_of(small(tmp_path), tmp_path / "b.csv"))
     for a, b in zip(one, three, strict=True):
-        assert (a.runs, a.counts, a.histogram) == (30, b.counts, b.histogram)
-        assert a.rate == b.rate
+        assert (a.runs, a.counts) == (30, b.counts)
+        assert (a.rate, a.shares) == (b.rate, b.shares)
         for name in a.sums:
             assert a.sums[name] == pytest.approx(b.sums[name], rel=1e-12)
 
@@ -285,22 +257,6 @@ def test_a_worker_with_other_code_is_told(
     assert output.read_bytes().count(b"\n") == 1, "the header alone"
 
 
-def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:
-    extra = "\n[stop]\nrelative_width = 0.25\nmax_runs = 75\n"
-    text = TEXT.replace('"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy.alpha" = [8.0]')
-    text = text.replace("runs = 30", "runs = 10")
-    narrow = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
-    for summary in narrow:
-        assert summary.runs in (10, 20, 40, 75)
-        assert summary.runs == 75 or summary.rate_at_every_look.relative_width <= 0.25
-    assert min(summary.runs for summary in narrow) < 75
-    # A rate of zero never has a narrow interval: the limit ends it, with the last batch cut short.
-    never = text.replace("[8.0]", "[1.0]")
-    assert {
-        s.runs for s in summarise(rows_of(small(tmp_path, extra, never), tmp_path / "b.csv"))
-    } == {75}
-
-
 # --- stopping and going on -----------------------------------------------------------------------
 
 
@@ -331,7 +287,7 @@ def test_a_short_batch_is_completed(tmp_path: Path, before: int, after: int, bat
     assert {s.runs for s in summarise(few)} == {before}
     for s, whole in zip(more, summarise(rows(after, "b.csv")), strict=True):
         assert s.runs == whole.runs == after
-        assert (s.counts, s.histogram, s.rate) == (whole.counts, whole.histogram, whole.rate)
+        assert (s.counts, s.rate, s.shares) == (whole.counts, whole.rate, whole.shares)
         for name in s.sums:
             assert s.sums[name] == pytest.approx(whole.sums[name], rel=1e-12)
     kept = (tmp_path / "a.csv").read_bytes()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.traces import Recovered, read_trace
+from tests.support.traces import events_of, recovered_in
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
@@ -106,14 +107,14 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
     assert summary["delivered"]
     assert summary["recovered"] == "Killed, and told all the same."
     assert summary["missed"] > 0
-    sessions = {e["session"] for e in read_trace(run_dir / PLANT_TRACE).of("transition")}
+    sessions = {e["session"] for e in events_of(run_dir / PLANT_TRACE, "transition")}
     assert len(sessions) == 1, "a kill alone must not end the session"
 
 
 def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     process = subprocess.Popen(
-        [*WYNER, "up", "--pace", "x10", "--headless", "--run-dir", str(run_dir)],
+        [*WYNER, "up", "--pace", "x10", "--run-dir", str(run_dir)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -195,7 +196,7 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
             return bool(min(malformed) > 50)
 
         wait_for(counted)
-    recovered = Recovered(by_hand.run_dir)
+    recovered = partial(recovered_in, by_hand.run_dir)
     wait_for(lambda: len(recovered()) == 2)
     assert by_hand.stop() == {"controller": 0, "tap": 0, "plant": 0}
     checked = wyner("check", str(by_hand.run_dir))

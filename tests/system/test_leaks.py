@@ -26,7 +26,7 @@ from runtime.run_folder import (
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 from tests.system.test_integration import status
 
 SECRET = "q9"
@@ -129,7 +129,7 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
         contributions |= {message["nonce"].encode()} if message.get("nonce") else set()
-    transitions = list(read_trace(run / PLANT_TRACE).of("transition"))
+    transitions = list(events_of(run / PLANT_TRACE, "transition"))
     return {
         "plaintext": forms(TEXT.encode()),
         "keys": {form for key in keys for form in forms(key)},
@@ -155,7 +155,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     arguments = ["--scenario", str(scenario), "--message", f"@{file}"]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
+        [sys.executable, "-m", "wyner", "up", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

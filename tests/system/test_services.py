@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -37,11 +38,11 @@ from runtime.run_folder import (
     PLANT_STATUS,
     PLANT_TRACE,
 )
-from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.records import changed
-from tests.support.traces import Recovered, read_trace
+from tests.support.statuses import status_of
+from tests.support.traces import events_of, recovered_in
 
 Service = TypeVar("Service", PlantService, ControllerService)
 
@@ -55,7 +56,7 @@ class System:
         self.codes: dict[str, int] = {}
         self.errors: dict[str, Exception] = {}
         self.plant_service: PlantService | None = None
-        self.recovered = Recovered(run_dir)
+        self.recovered = partial(recovered_in, run_dir)
         self._stopping: dict[str, threading.Event] = {}
 
     @contextmanager
@@ -138,8 +139,8 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
         system.wait(lambda: "plant" in system.codes)
     assert system.codes == {"plant": DONE, "controller": DONE}
     assert system.recovered() == [b"one"]
-    plant = {e["j"]: e for e in read_trace(system.run_dir / PLANT_TRACE).of("transition")}
-    controller = read_trace(system.run_dir / CONTROLLER_TRACE).of("transition")
+    plant = {e["j"]: e for e in events_of(system.run_dir / PLANT_TRACE, "transition")}
+    controller = events_of(system.run_dir / CONTROLLER_TRACE, "transition")
     for event in controller:
         mine = plant.pop(event["j"])
         assert {k: mine[k] for k in event} == event
@@ -160,7 +161,7 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
     with system.controller(b"one"), system.plant("x20", steps=60):
         forger.subscribe(key_of(Offer, "loop"), hurry)  # last, so that the true offer goes first
         system.wait(lambda: "plant" in system.codes)
-    events = read_trace(system.run_dir / PLANT_TRACE).of("transition")
+    events = events_of(system.run_dir / PLANT_TRACE, "transition")
     assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
     status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
     assert status.late <= status.missed
@@ -207,7 +208,7 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
     with system.controller(b"one"), system.plant(steps=400):
         system.wait(lambda: "plant" in system.codes)
     state = 1
-    for event in read_trace(system.run_dir / PLANT_TRACE).of("transition"):
+    for event in events_of(system.run_dir / PLANT_TRACE, "transition"):
         offers[state].add(tuple(json.loads(seen[event["k"]])))
         state = event["s"]
     fields = ("v", "session", "k", "candidates", "cipher", "predictions")
@@ -235,7 +236,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             status = status_of(controller.endpoint)
             assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
-    sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
+    sessions = events_of(system.run_dir / PLANT_TRACE, "session")
     assert sum(1 for _ in sessions) == 1
 
 
@@ -353,7 +354,7 @@ def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system
     assert 1 < len(times) <= 1 + len(said[PlantStatus]) / 20
     assert len(said[ControllerStatus]) > 10
     statuses = [s for _, s in said[PlantStatus] if isinstance(s, PlantStatus)]
-    counted = [e["k"] for e in read_trace(system.run_dir / PLANT_TRACE).of("transition")]
+    counted = [e["k"] for e in events_of(system.run_dir / PLANT_TRACE, "transition")]
     sizes = [len(s.tail_k) for s in statuses if s.k > 100]
     assert max(sizes) == 64
     assert sorted(sizes)[len(sizes) // 2] < 40

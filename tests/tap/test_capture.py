@@ -21,7 +21,7 @@ from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tests.support.lines import unmark
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"
@@ -66,13 +66,6 @@ def test_messages_come_back_to_the_last_bit(tmp_path: Path) -> None:
     assert reader.torn == reader.malformed == 0
 
 
-def test_a_capture_is_a_trace_that_the_common_reader_reads(tmp_path: Path) -> None:
-    record(tmp_path / CAPTURE, 3).close()
-    trace = read_trace(tmp_path / CAPTURE)
-    assert trace.header["vantage"] == "tap"
-    assert [e["message"]["k"] for e in trace.of("field")] == [0, 1, 2]
-
-
 def test_a_torn_last_line_loses_that_line_only(tmp_path: Path) -> None:
     path = tmp_path / CAPTURE
     record(path, 20).close()
@@ -107,7 +100,7 @@ def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
     log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
     log.write(malformed_line(5, "wyner/v2/loop/offer", b"\x00\xff{\n"))
     log.close()
-    (event,) = read_trace(tmp_path / CAPTURE).of("malformed")
+    (event,) = events_of(tmp_path / CAPTURE, "malformed")
     assert (event["key"], event["base64"]) == ("wyner/v2/loop/offer", "AP97Cg==")
     reader, messages = read(tmp_path)
     assert not messages

@@ -74,7 +74,7 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
     assert scored.bits.right >= scored.bits.of - 0.5
 
 
-@pytest.mark.parametrize("name", ["nearest-centre", "fitted-box", "learning", "smoother", "text"])
+@pytest.mark.parametrize("name", ["nearest-centre", "learning", "text"])
 def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
     _, scored = play(simulate(400, 0), name)
     assert scored.bits.of > 90
@@ -117,10 +117,10 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
 
 
 @pytest.mark.long
-def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> None:
+def test_text_gains_over_the_list_decoder_when_messages_are_lost() -> None:
     view = View(loss=0.3, seed=3)
     run = simulate(400, 3)
-    plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "smoother"))
+    plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "text"))
     assert smooth.keys_reviewed.right > plain.keys_reviewed.right
     blind = 0.5 * smooth.keys.of
     assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
@@ -132,7 +132,7 @@ def keeping(steps: int, patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["list-decoder", "learning", "smoother", "oracle"])
+@pytest.mark.parametrize("name", ["list-decoder", "learning", "text", "oracle"])
 def test_a_run_longer_than_she_keeps_loses_no_message(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,7 +148,7 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["learning", "smoother"])
+@pytest.mark.parametrize("name", ["learning", "text"])
 def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(1024, monkeypatch)
     long = b"It was a quiet night at the harbour and nobody saw the boats leave."
@@ -163,7 +163,7 @@ def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.Monkey
     keeping(128, monkeypatch)
     run = simulate(size(132, 200), 3, payloads=[b"let go"])
     view = View(loss=0.02, seed=1)
-    said, scored = play(run, "smoother", view)
+    said, scored = play(run, "text", view)
     oldest = [at for at in said.live if at[1] < 60]
     assert len(oldest) > 50
     assert all(at in said.reviewed for at in oldest)
@@ -275,7 +275,7 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, name: str, expected: str) -> N
 
 
 @pytest.mark.parametrize(
-    "name", ["set-membership", "nearest-centre", "list-decoder", "smoother", "oracle"]
+    "name", ["set-membership", "nearest-centre", "list-decoder", "text", "oracle"]
 )
 def test_one_who_needs_a_model_says_what_she_lacks(name: str) -> None:
     with pytest.raises(KnowledgeError, match=f"{name}: knowledge lacks A, B"):

@@ -9,7 +9,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from studies.corners import at_the_corners
-from studies.listeners import heard_by
+from studies.listeners import heard_of
 from studies.outputs import CONDITIONS, over
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
@@ -99,7 +99,7 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["smoother", "fitted-box"])
+@pytest.mark.parametrize("name", ["text"])
 def test_who_fits_how_far_sensors_scatter_reads_it_too(
     runs: Runs, link: Transfer, name: str
 ) -> None:
@@ -109,7 +109,7 @@ def test_who_fits_how_far_sensors_scatter_reads_it_too(
         assert found.right > 0.97 * found.agreements
 
 
-@pytest.mark.parametrize("name", ["nearest-centre", "fitted-box", "list-decoder", "smoother"])
+@pytest.mark.parametrize("name", ["nearest-centre", "list-decoder", "text"])
 def test_by_readings_she_names_the_message_symbols(
     name: str, scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -158,7 +158,7 @@ def test_deviations_are_found_from_readings_alone(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
     """Draws are corners, so that a deviation is a half-width: D_c, a twelfth of D_e, and N."""
-    found = refitted(model_of(scenario), list(transcript(runs, link, 0)), each=False)
+    found = refitted(model_of(scenario), list(transcript(runs, link, 0)))
     assert found.deviations == pytest.approx([0.000468, 0.00906], rel=0.5)
     assert found.sensors == pytest.approx([0.00012], rel=1.0)
 
@@ -167,14 +167,14 @@ def test_deviations_are_found_from_readings_alone(
 def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
-    """Eight times the encoder's noise: the smoother's probabilities beside her hits, 3 runs."""
+    """Eight times the encoder's noise: her probabilities beside her hits, 3 runs."""
     view = CONDITIONS["Eve's noise 0.001"][1]
-    kind = named("smoother")
+    kind = named("text")
     sure: list[float] = []
     hits: list[bool] = []
     at_once = 0
     for place in range(3):
-        heard = heard_by(list(transcript(runs, link, place)), view)
+        heard = heard_of(runs, link, view, place)
         tap = kind(view.knowledge(scenario.knowledge()))
         at_once += sum(tap.observe(t).best == runs.coin[t.k, place] for t in heard)
         for g in tap.review():

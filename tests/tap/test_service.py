@@ -41,7 +41,7 @@ from tap_service.service import TapService
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.told import log_of, told
-from wyner.runs.score.replay import Replay
+from wyner.runs.score.replay import hear_again
 
 LIGHT = ("set-membership", "nearest-centre")
 
@@ -145,10 +145,9 @@ def test_the_view_acts_before_the_capture_so_a_replay_hears_the_same(
         wire.send(message)
     wire.finish()
     live = [e for e in lines(tmp_path / GUESSES) if e["event"] == "guess"]
-    replay = Replay(tmp_path, LIGHT)
-    replay.run()
-    assert replay.view == view
-    for said in replay.outputs():
+    replay = hear_again(tmp_path, LIGHT)
+    assert replay.reader.header["view"] == view.model_dump()
+    for said in replay.taps:
         mine = {(e["session"], e["k"]): e["symbol"] for e in live if e["name"] == said.name}
         assert mine == said.live
     assert 0.7 < sum(1 for _ in CaptureReader(tmp_path).records()) / len(run.messages) < 0.9

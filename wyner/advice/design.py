@@ -268,7 +268,7 @@ def design_report(scenario: Scenario, folder: Path) -> DesignReport:
     simulated = linear and keyed is None
     rate, reasons, worth = (simulated and _rate(scenario, law, folder)) or (None, None, None)
     missed = missed_steps(
-        scenario, seed=settling.SEED, runs=range(settling.RUNS), steps=settling.STEPS, folder=folder
+        scenario, seed=settling.SEED, runs=range(settling.RUNS), steps=settling.STEPS
     )
     share = None
     if missed is not None:

@@ -176,7 +176,7 @@ def long_runs(
     scenario : Scenario
     law : CandidateLaw
     folder : Path
-        Where the file of a network's measured delays is looked for.
+        Where the files that the scenario names are looked for.
     record : bool
         Keep states, candidates, inputs and gauges.
     burn_in : int, optional

@@ -219,8 +219,6 @@ def run(
         device of which outputs alone are read.
     PlantError
         When the plant cannot be opened.
-    UsageError
-        When a file of measured delays cannot be read.
     ValueError
         When a number is none that can be, the message is text, or the scenario has an attack.
     """

@@ -79,11 +79,9 @@ def _decode(paths: Sequence[Path], names: tuple[str, ...]) -> "Decoded":
     """A capture alone."""
     from tap_service.capture.reading import CaptureReader
     from tap_service.eavesdroppers import DEFAULT
-    from wyner.runs.score.replay import Replay
+    from wyner.runs.score.replay import hear_again
 
     if len(paths) > 1:
         raise UsageError(f"RUN: got {len(paths)} of them, expected a capture alone")
     live = CaptureReader(paths[0]).header.get("eavesdroppers")
-    replay = Replay(paths[0], names or tuple(live or DEFAULT))
-    replay.run()
-    return replay.decoded()
+    return hear_again(paths[0], names or tuple(live or DEFAULT))

@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from protocol.messages import ControllerStatus, PlantStatus, StopKeys, TapStatus
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import Failure, UsageError
-from runtime.network import check_delays
 from runtime.options import (
     message_of,
     pace_of,
@@ -26,7 +25,6 @@ from runtime.run_folder import (
     PLANT_JOURNAL,
 )
 from runtime.scenario_file import attack_option, scenario_in
-from runtime.shipped import scenario_file_of
 from wyner.deployment.one_machine import RunOptions, lay_out, text_of
 
 if TYPE_CHECKING:
@@ -84,7 +82,7 @@ def run_session(
         What the screen's first line begins with.
     """
     from runtime.zenoh_bus import ZenohBus
-    from wyner.dashboard.app import Ending, has_screen, run_dashboard
+    from wyner.dashboard.app import STOPPING, Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
@@ -100,8 +98,6 @@ def run_session(
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
     attack = _attack(options, scenario)
-    folder = scenario_file_of(options.scenario).parent
-    check_delays(scenario, folder)
     run_dir = run_dir_of(options.run_dir)
     traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
     if any((run_dir / path).exists() for path in traces_of_a_run):
@@ -118,11 +114,11 @@ def run_session(
         if not summary:
             note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
-            summary.update(summarise(Run.load(run_dir), payload, folder))
+            summary.update(summarise(Run.load(run_dir), payload))
         return (epilogue or verdict_lines)(summary)
 
     watching = Progress(until_delivered=options.until_delivered, supervisor=supervisor)
-    screen = not options.headless and not options.json and has_screen()
+    screen = not options.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
     management_ends = [loop.plant_management, loop.controller_management]
@@ -154,6 +150,8 @@ def run_session(
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     finally:
+        if not summary:
+            print(f"wyner: {STOPPING}", file=sys.stderr, flush=True)
         conclude()
     try:
         seal(run_dir, json.dumps(summary, indent=2).encode() + b"\n")

@@ -75,6 +75,10 @@ def run(args: argparse.Namespace) -> int:
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
+        if args.plot is not None and output.exists() and not args.resume:
+            raise UsageError(
+                f"{output}: exists; `wyner sweep {output} --plot` draws it, --resume goes on"
+            )
         with writing(f"--output: {output}"):
             results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:
@@ -99,9 +103,8 @@ def run(args: argparse.Namespace) -> int:
     ours = {p.key for p in points}
     summaries = summarise(row for row in results.rows if key_of(row) in ours)
     rates = output.with_name(f"{output.stem}-rates.csv")
-    stopped = sweep.stop is not None
     if summaries:
-        write_ready(rates, ready_rows(summaries, sweep.columns, stopped=stopped))
+        write_ready(rates, ready_rows(summaries, sweep.columns))
     found = FoundBySweep(
         name=sweep.name,
         output=output,
@@ -110,7 +113,6 @@ def run(args: argparse.Namespace) -> int:
         rows=len(results.rows),
         new=len(results.rows) - before,
         points=summaries,
-        stopped=stopped,
     )
     show(found, args)
     for line in failures:

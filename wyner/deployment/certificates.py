@@ -1,7 +1,7 @@
 """Certificates for mutual TLS: one authority, one certificate a service, made with ``openssl``.
 
-The command line of OpenSSL (or LibreSSL) does the cryptography: it is on practically every machine
-and in every image that can open an HTTPS address, so no further dependency is carried for it.
+The command line of OpenSSL 3 does the cryptography: it is in practically every system that can open
+an HTTPS address, so no further dependency is carried for it.
 
 A folder of certificates::
 
@@ -31,24 +31,19 @@ KEY: Final = "key.pem"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _HOST = re.compile(r"(?=.{1,253}$)[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9_])?(\.[A-Za-z0-9_-]+)*")
 
-_REQUEST: Final = """\
-[req]
-prompt = no
-distinguished_name = name
-[name]
-CN = {name}
-[authority]
-basicConstraints = critical, CA:TRUE, pathlen:0
-keyUsage = critical, keyCertSign, cRLSign
-subjectKeyIdentifier = hash
-[service]
-basicConstraints = critical, CA:FALSE
-keyUsage = critical, digitalSignature
-extendedKeyUsage = serverAuth, clientAuth
-subjectKeyIdentifier = hash
-authorityKeyIdentifier = keyid
-subjectAltName = {hosts}
-"""
+AUTHORITY: Final = (
+    "basicConstraints=critical,CA:TRUE,pathlen:0",
+    "keyUsage=critical,keyCertSign,cRLSign",
+    "subjectKeyIdentifier=hash",
+)
+SERVICE: Final = (
+    "basicConstraints=critical,CA:FALSE",
+    "keyUsage=critical,digitalSignature",
+    "extendedKeyUsage=serverAuth,clientAuth",
+    "subjectKeyIdentifier=hash",
+    "authorityKeyIdentifier=keyid",
+)
+"""What a certificate may be used for, as OpenSSL writes it."""
 
 
 class CertificateError(Exception):
@@ -103,20 +98,9 @@ def make_authority(folder: Path, days: int) -> bool:
         for path in (certificate, key):  # openssl would wait at a pipe
             open_regular(path).close()
         return False
-    _make_folder(folder)
-    with tempfile.TemporaryDirectory(dir=folder) as work:
-        # The name differs from one authority to the next, so that a certificate of an older one
-        # is refused for its issuer and not for its signature.
-        name = f"wyner authority {secrets.token_hex(4)}"
-        config = _write_request(Path(work), name, ["DNS:localhost"])
-        _make_key(Path(work) / "key")
-        _openssl(
-            "req", "-x509", "-new", "-sha256", "-key", f"{work}/key", "-config", str(config),
-            "-extensions", "authority", "-days", str(days), "-out", f"{work}/cert",
-        )  # fmt: skip
-        # The key first: a certificate without its key would be taken for damage.
-        (Path(work) / "key").replace(key)
-        (Path(work) / "cert").replace(certificate)
+    # The name differs from one authority to the next, so that a certificate of an older one is
+    # refused for its issuer and not for its signature.
+    _make(folder, f"wyner authority {secrets.token_hex(4)}", days, key, certificate, AUTHORITY)
     return True
 
 
@@ -137,30 +121,40 @@ def make_certificate(folder: Path, name: str, hosts: Sequence[str], days: int) -
     Raises
     ------
     CertificateError
-        When a name or host is not usable, or ``openssl`` fails.
+        When a host is not usable, or ``openssl`` fails.
     """
-    check_name(name)
-    if not hosts:
-        raise CertificateError(f"{name}: expected at least one host name or address")
-    alternative = [check_host(host) for host in hosts]
-    target = folder / name
-    _make_folder(target)
-    with tempfile.TemporaryDirectory(dir=target) as work:
-        config = _write_request(Path(work), name, alternative)
-        _make_key(Path(work) / "key")
+    names = ",".join(map(check_host, hosts))
+    target, authority = folder / name, folder / AUTHORITY_CERTIFICATE
+    extensions = (*SERVICE, f"subjectAltName={names}")
+    signer = ("-CA", str(authority), "-CAkey", str(folder / AUTHORITY_KEY))
+    _make(target, name, days, target / KEY, target / CERTIFICATE, extensions, signer)
+    shutil.copyfile(authority, target / AUTHORITY_CERTIFICATE)
+
+
+def _make(
+    folder: Path,
+    name: str,
+    days: int,
+    key: Path,
+    certificate: Path,
+    extensions: Sequence[str],
+    signer: Sequence[str] = (),
+) -> None:
+    """A fresh key, and a certificate for it; it signs itself where there is no signer."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise CertificateError(f"{folder}: cannot be made: {error.strerror}") from None
+    with tempfile.TemporaryDirectory(dir=folder) as work:
         _openssl(
-            "req", "-new", "-sha256", "-key", f"{work}/key", "-config", str(config),
-            "-out", f"{work}/request",
-        )  # fmt: skip
-        _openssl(
-            "x509", "-req", "-sha256", "-in", f"{work}/request",
-            "-CA", str(folder / AUTHORITY_CERTIFICATE), "-CAkey", str(folder / AUTHORITY_KEY),
-            "-set_serial", f"0x{secrets.randbits(127):x}", "-days", str(days),
-            "-extfile", str(config), "-extensions", "service", "-out", f"{work}/cert",
-        )  # fmt: skip
-        (Path(work) / "key").replace(target / KEY)
-        (Path(work) / "cert").replace(target / CERTIFICATE)
-    shutil.copyfile(folder / AUTHORITY_CERTIFICATE, target / AUTHORITY_CERTIFICATE)
+            *("req", "-x509", *signer, "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256"),
+            *("-noenc", "-sha256", "-config", os.devnull, "-subj", f"/CN={name}"),
+            *("-days", str(days), *(part for text in extensions for part in ("-addext", text))),
+            *("-keyout", f"{work}/key", "-out", f"{work}/cert"),
+        )
+        # The key first: a certificate without its key would be taken for damage.
+        (Path(work) / "key").replace(key)
+        (Path(work) / "cert").replace(certificate)
 
 
 def is_current(folder: Path, name: str, margin_days: int = 1) -> bool:
@@ -198,28 +192,6 @@ def ensure_certificates(folder: Path, hosts: Mapping[str, Sequence[str]], days: 
     for name in missing:
         make_certificate(folder, name, hosts[name], days)
     return missing
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError as error:
-        raise CertificateError(f"{folder}: cannot be made: {error.strerror}") from None
-
-
-def _write_request(work: Path, name: str, hosts: Sequence[str]) -> Path:
-    config = work / "request.cnf"
-    config.write_text(_REQUEST.format(name=name, hosts=", ".join(hosts)), encoding="ascii")
-    return config
-
-
-def _make_key(path: Path) -> None:
-    # Made before openssl writes into it, so that the key is never readable to others.
-    path.touch(mode=0o600)
-    _openssl(
-        "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256",
-        "-pkeyopt", "ec_param_enc:named_curve", "-out", str(path),
-    )  # fmt: skip
 
 
 def _openssl(*arguments: str) -> None:

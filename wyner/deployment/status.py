@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.messages.adversary import deaf_share
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED, PROVED
 from runtime.errors import UsageError
-from runtime.health import Look, look_at_status, read_status
+from runtime.files import read_regular
+from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
@@ -31,33 +33,25 @@ class RunStatus:
 
     Parameters
     ----------
-    run_dir : Path
-    plant : PlantStatus or None
-    controller : ControllerStatus or None
-        None where the folder has none: each end may write into a folder of its own.
-    others : dict of str to Look
-        The other services that write into the folder, by name.
+    written : dict of str to dict
+        Of each service that writes into the folder its status, by name.
     claim : str
         The claim under which the run's keys are secret; empty where it makes none.
     distance : float
         Bound on how far all blocks begun are from perfect keys together.
-    warnings : tuple of str
+    lines, warnings : tuple of str
     """
 
-    run_dir: Path
-    plant: PlantStatus | None
-    controller: ControllerStatus | None
-    others: dict[str, Look]
+    written: dict[str, dict[str, Any]]
     claim: str
     distance: float
+    lines: tuple[str, ...]
     warnings: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The statuses as they were published, and the warnings."""
+        """The statuses as they were written, and the warnings."""
         return {
-            "plant": None if self.plant is None else self.plant.model_dump(),
-            "controller": None if self.controller is None else self.controller.model_dump(),
-            "others": {name: look.text for name, look in self.others.items()},
+            **self.written,
             "claim": self.claim,
             "distance": self.distance,
             "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED},
@@ -66,10 +60,7 @@ class RunStatus:
 
     def __str__(self) -> str:
         """One line for each topic, then one for each warning."""
-        lines = [*_of_plant(self), *_of_controller(self)]
-        lines += [f"{name:<12}{look.text}" for name, look in self.others.items()]
-        lines += [f"warning: {text}" for text in self.warnings]
-        return "\n".join(lines)
+        return "\n".join([*self.lines, *(f"warning: {text}" for text in self.warnings)])
 
 
 @dataclass(frozen=True)
@@ -108,46 +99,55 @@ def status_of(run_dir: Path) -> RunStatus | FleetStatus:
 
 
 def _status_of(run_dir: Path) -> RunStatus:
-    reporting = [name for name in SERVICES if SERVICES[name].reports]
-    there = [name for name in reporting if (run_dir / name / "status.json").exists()]
-    if not there:
+    paths = {name: run_dir / name / "status.json" for name, row in SERVICES.items() if row.reports}
+    written = {name: _written(path) for name, path in paths.items() if path.exists()}
+    if not written:
         expected = f"expected a run's folder, with {PLANT_STATUS} or {CONTROLLER_STATUS}"
         raise UsageError(f"{run_dir}: no service has reported there; {expected}")
-    now_s = time.time()
-    looks = {name: look_at_status(run_dir / name, now_s) for name in there}
     plant = controller = None
     try:
-        if "plant" in there:
-            plant = read_status(run_dir / PLANT_STATUS, PlantStatus)
-        if "controller" in there:
-            controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)
-    except OSError as error:
-        raise UsageError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        if "plant" in written:
+            plant = read_status(paths["plant"], PlantStatus)
+        if "controller" in written:
+            controller = read_status(paths["controller"], ControllerStatus)
     except ValidationError as error:
         raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
     claim, distance = _claim(run_dir)
     distance *= 0 if plant is None else plant.key_blocks_begun
+    lines = [*_of_plant(plant, claim, distance), *_of_controller(controller)]
+    others = [name for name in written if name not in ("plant", "controller")]
+    lines += [f"{name:<12}{written[name].get('health', 'reports')}" for name in others]
     over = all(end is None or end.phase == "stopped" for end in (plant, controller))
-    warnings = [] if over else list(_silences(looks, {"plant": plant, "controller": controller}))
+    warnings = [] if over else list(_silences(written))
     warnings += _warnings_of_plant(plant)
     warnings += _warnings_of_controller(controller, plant)
     warnings += _warnings_of_taps(run_dir)
-    others = {name: look for name, look in looks.items() if name not in ("plant", "controller")}
-    return RunStatus(run_dir, plant, controller, others, claim, distance, tuple(warnings))
+    return RunStatus(written, claim, distance, tuple(lines), tuple(warnings))
 
 
-def _silences(
-    looks: dict[str, Look], ends: dict[str, PlantStatus | ControllerStatus | None]
-) -> Iterator[str]:
+def _written(path: Path) -> dict[str, Any]:
+    """What a service has written of itself."""
+    try:
+        found: dict[str, Any] = from_json(read_regular(path))
+        found["t_ns"] / 1e9
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError):
+        raise UsageError(f"{path}: expected a status, with t_ns") from None
+    return found
+
+
+def _silences(written: dict[str, dict[str, Any]]) -> Iterator[str]:
     """The services that do not report any more, and those that say that they are not well."""
-    for name, look in looks.items():
-        end = ends.get(name)
-        if end is not None and end.phase == "stopped":
+    for name, found in written.items():
+        age_s = time.time() - found["t_ns"] / 1e9
+        health = str(found.get("health", ""))
+        if found.get("phase") == "stopped":
             continue
-        if look.age_s > OLD_S:
-            yield f"{name} last reported {look.age_s:.0f} s ago"
-        elif look.health.startswith("bad"):
-            yield f"{name}: {look.health.removeprefix('bad: ')}"
+        if age_s > OLD_S:
+            yield f"{name} last reported {age_s:.0f} s ago"
+        elif health.startswith("bad"):
+            yield f"{name}: {health.removeprefix('bad: ')}"
 
 
 def _claim(run_dir: Path) -> tuple[str, float]:
@@ -160,48 +160,36 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _of_plant(status: RunStatus) -> list[str]:
-    plant = status.plant
+def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterator[str]:
     if plant is None:
-        return []
-    late = max(plant.sampled_late_s, default=0.0)
-    acted = max(plant.actuated_after_s, default=0.0)
+        return
     lost = f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else ""
-    why = plant.keys_refused or status.claim
-    lines = [
+    why = plant.keys_refused or claim
+    yield (
         f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
-        f"messages, {plant.agreements} keys agreed",
-        f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
-        f"measurement at most, {plant.overruns} overruns",
-        f"keys        {plant.keys_made} distilled{lost}{f'; {why}' if why else ''}",
-    ]
+        f"messages, {plant.agreements} keys agreed"
+    )
+    yield f"keys        {plant.keys_made} distilled{lost}{f'; {why}' if why else ''}"
     if plant.key_blocks_begun and not plant.keys_refused:
-        lines.append(
+        yield (
             f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
-            f"{status.distance:.2g} from perfect keys at most"
+            f"{distance:.2g} from perfect keys at most"
         )
-    if status.claim:
-        lines.append(f"copies      each measurement is published {plant.appearances} times")
-    return lines
 
 
-def _of_controller(status: RunStatus) -> list[str]:
-    controller = status.controller
+def _of_controller(controller: ControllerStatus | None) -> Iterator[str]:
     if controller is None:
-        return []
-    lines = [
+        return
+    yield (
         f"controller  {controller.phase}, {controller.transitions} transitions counted, "
         f"{controller.delivered} delivered, {controller.queue} queued, "
         f"{controller.keys_made} keys distilled"
-    ]
+    )
     if controller.watched + controller.unwatched:
-        lines.append(
+        yield (
             f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, "
             f"{controller.digits_left} digits left"
         )
-    if status.claim:
-        lines.append(f"copies      each offer is published {controller.appearances} times")
-    return lines
 
 
 def _warnings_of_plant(plant: PlantStatus | None) -> list[str]:

@@ -146,7 +146,7 @@ def fit(
     tell : callable
         Takes a line on each stage.
     folder : Path
-        Where the file of a network's measured delays is looked for.
+        Where the files that the scenario names are looked for.
 
     Raises
     ------

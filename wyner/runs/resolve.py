@@ -52,11 +52,11 @@ class Resolver:
         """Take a transition as the last, whatever came before it."""
         self.last, self.restarted = (session, j, k), False
 
-    def transition(self, session: str, j: int, k: int, *, saved: bool = False) -> Counts:
-        """Transition ``j`` of a session, made in step ``k``; ``saved`` where a journal holds it."""
+    def transition(self, session: str, j: int, k: int) -> Counts:
+        """Transition ``j`` of a session, made in step ``k``."""
         last = self.last
         if last is not None and session == last[0]:
-            if not saved and self._back(j < last[1] + self._stale):
+            if self._back(j < last[1] + self._stale):
                 return Counts.BEHIND
             if j == last[1]:
                 self.restarted = False

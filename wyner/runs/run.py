@@ -105,8 +105,8 @@ class Run:
     def _traces(self) -> "dict[Side, Trace]":
         return {}
 
-    def read(self, side: Side, pending: dict[str, Any] | None = None) -> "Trace":
-        """Read an end's trace; ``pending`` is what its journal holds beyond it.
+    def read(self, side: Side) -> "Trace":
+        """Read an end's trace, unless it was read before.
 
         Raises
         ------
@@ -115,11 +115,11 @@ class Run:
         """
         from wyner.runs.trace import Trace
 
-        noisy = self.scenario.plant.noise is not None
-        rules = rules_of(self.scenario)
-        found = Trace(side, self.trace(side), rules, noisy=noisy, pending=pending)
-        self._traces[side] = found
-        return found
+        if side not in self._traces:
+            noisy = self.scenario.plant.noise is not None
+            rules = rules_of(self.scenario)
+            self._traces[side] = Trace(side, self.trace(side), rules, noisy=noisy)
+        return self._traces[side]
 
     def forget(self, side: Side) -> None:
         """Let go of an end's trace; it is read again if it is asked for."""
@@ -136,7 +136,7 @@ class Run:
         try:
             if not self.has(side):
                 raise FileNotFoundError(ENOENT, strerror(ENOENT), str(self.trace(side)))
-            return self._traces.get(side) or self.read(side)
+            return self.read(side)
         except OSError as error:
             raise TraceError(f"{error.filename}: cannot be read: {error.strerror}") from None
         except ScenarioError as error:

@@ -12,7 +12,6 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
-from pydantic_core import to_json
 
 from protocol.link.events import MET, REASONS, RESUMED
 from protocol.link.records import Side
@@ -114,8 +113,6 @@ class Trace:
     rules : Rules
     noisy : bool
         Whether the plant's sensors are, so that its trace tells the state as well.
-    pending : dict, optional
-        The transition that its journal holds beyond the trace: the last row.
 
     Attributes
     ----------
@@ -144,8 +141,8 @@ class Trace:
         Transitions that its last process has traced.
     overwritten, behind : int
         Lines that were written again after a kill, and by an end that was put back.
-    pended : bool
-        Whether the last row is the journal's.
+    untraced : tuple of (str, int), optional
+        Session and step of the transition that its journal holds, and a kill kept from the trace.
     gaps : set of int
         Rows before which lines may be lost: the machine lost its power there, and the end was not
         written. What the journal had still to count of the session that this ended is no row.
@@ -158,7 +155,6 @@ class Trace:
         rules: Rules,
         *,
         noisy: bool = False,
-        pending: dict[str, Any] | None = None,
     ) -> None:
         self.side = side
         self.sessions: list[str] = []
@@ -174,7 +170,7 @@ class Trace:
         self.announced: set[str] = set()
         self.attack: AttackLine | None = None
         self.cut: TracedTransition | None = None
-        self.pended = False
+        self.untraced: tuple[str, int] | None = None
         self.gaps: set[int] = set()
         self._lost: set[str] = set()
         self._newest: dict[str, int] = {}
@@ -199,9 +195,6 @@ class Trace:
         if self.gone > self._kept:
             text = f"it begins with part {self.gone}, the writer had kept part {self._kept} as well"
             self.parts[0].problem(1, text)
-        if pending is not None:
-            self._resolver.restart()
-            self._transition(0, to_json(pending))
         self._flush()
         self._note(Break(self.ended))
         self._file()
@@ -257,7 +250,7 @@ class Trace:
     @property
     def steps(self) -> Rows:
         """The rows that its end has traced, up to the first line that cannot be so."""
-        return self.rows[: min(self.readable, len(self.rows) - self.pended)]
+        return self.rows[: self.readable]
 
     @property
     def unread(self) -> str:
@@ -275,11 +268,13 @@ class Trace:
         return -1
 
     def may_lack(self, session: str, k: int) -> bool:
-        """Whether a power failure explains that it does not have step k: it lost its end there.
+        """Whether a kill or a power failure explains that it does not have step k: its end is lost.
 
         The session is one that a power failure ended, and k is beyond what is left of it; or the
         lines that named the session are lost as well.
         """
+        if self.untraced is not None and session == self.untraced[0] and k >= self.untraced[1]:
+            return True
         if session in self._lost:
             return k > self._newest.get(session, -1)
         return bool(self.gaps) and session not in self.announced and session not in self._newest
@@ -303,8 +298,7 @@ class Trace:
                 self._line(number, raw, value)
 
     def _problem(self, number: int, text: str) -> None:
-        where = f"{self._part.name} line {number}" if number else "the step in the journal"
-        self.problems.append(Problem(where, text))
+        self.problems.append(Problem(f"{self._part.name} line {number}", text))
         if self.readable < 0:
             self.readable, self._sure = self._count, len(self.notes)
 
@@ -461,15 +455,14 @@ class Trace:
         if unlike:
             self._problem(number, f"transition: {unlike}")
             return
-        if self._mending and number:
+        if self._mending:
             return
-        if number:
-            self._belongs(number, t.session)
+        self._belongs(number, t.session)
         if self._seeking:
             self._seek(t)
             return
         last, restarted = self.last, self._resolver.restarted
-        counts = self._resolver.transition(t.session, t.j, t.k, saved=not number)
+        counts = self._resolver.transition(t.session, t.j, t.k)
         if counts is Counts.BEHIND:
             self.behind += 1
             return
@@ -477,14 +470,13 @@ class Trace:
             assert last is not None
             if not restarted:
                 self._problem(number, f"transition {t.j} was written before, without a restart")
-            elif number:
+            else:
                 self.overwritten += 1
                 self._held = None  # a step missed after it, and never saved: it is made again
-            self._note(Again(last, t, not number))
+            self._note(Again(last, t))
             return
         self._flush(t.session, t.k, restarted=restarted)
-        self.pended = not number
-        self.of_last += bool(number)
+        self.of_last += 1
         self.last = t
         self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
         self._append(t)

@@ -8,21 +8,17 @@ step that it has heard of, each time that it hears it.
 import heapq
 from collections.abc import Sequence
 from math import inf
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.link.channel import Channel
+from protocol.link.channel import Channel, channel_of
 from protocol.scenario import Scenario
-from runtime.network import channel_of
 
 Flags = NDArray[np.bool_]
 
 
-def missed_steps(
-    scenario: Scenario, *, seed: int, runs: Sequence[int], steps: int, folder: Path = Path()
-) -> Flags | None:
+def missed_steps(scenario: Scenario, *, seed: int, runs: Sequence[int], steps: int) -> Flags | None:
     """Which steps are missed, shape (steps, R); None where the scenario has no network.
 
     Parameters
@@ -32,21 +28,14 @@ def missed_steps(
         Of the experiment.
     runs : sequence of int
     steps : int
-    folder : Path
-        Where the file of measured delays is looked for.
-
-    Raises
-    ------
-    UsageError
-        When that file cannot be read.
     """
     if scenario.network is None:
         return None
     period, repeats = scenario.plant.period_s, scenario.link.repeats_per_period
     missed = np.empty((steps, len(runs)), dtype=bool)
     for place, run in enumerate(runs):
-        up = channel_of(scenario, "to_controller", folder, seed=seed, run=run)
-        down = channel_of(scenario, "to_plant", folder, seed=seed, run=run)
+        up = channel_of(scenario, "to_controller", seed=seed, run=run)
+        down = channel_of(scenario, "to_plant", seed=seed, run=run)
         assert up is not None
         assert down is not None
         missed[:, place] = of_one_run(up, down, period, repeats, steps)

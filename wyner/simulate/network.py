@@ -20,7 +20,7 @@ from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from protocol.agreement import NO_SYMBOL
-from protocol.link.channel import Channel
+from protocol.link.channel import Channel, Direction, channel_of
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.endpoint import Endpoint
 from protocol.link.events import Event, Missed
@@ -41,7 +41,6 @@ from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, S
 from runtime.chance import seeded_nonces
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.model import load_model
-from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
 from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
@@ -312,9 +311,7 @@ class Simulation:
     def _channel(self, way: Direction) -> Channel | None:
         """What messages to a new process pass."""
         scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
-        return channel_of(
-            self.scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
-        )
+        return channel_of(self.scenario, way, scale=scale, seed=self._seed, run=self._run)
 
     def _new_controller(self) -> ControllerCore:
         self._controller = ControllerCore(

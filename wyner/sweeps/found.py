@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from protocol.statistics import STATED, Interval
+from protocol.statistics import STATED
+from protocol.text import aligned
 from wyner.sweeps.results import Summary
 
 
@@ -24,8 +25,6 @@ class FoundBySweep:
     rows, new : int
         Rows in the file, and how many of them are new.
     points : tuple of Summary
-    stopped : bool
-        Whether runs were added until an interval was narrow: its limits then hold at every look.
     """
 
     name: str
@@ -35,16 +34,12 @@ class FoundBySweep:
     rows: int
     new: int
     points: Sequence[Summary]
-    stopped: bool
-
-    def _rate(self, s: Summary) -> Interval:
-        return s.rate_at_every_look if self.stopped else s.rate
 
     def to_json(self) -> dict[str, Any]:
         """An object for each point."""
         points = []
         for s in self.points:
-            rate = self._rate(s).as_json()
+            rate = s.rate.as_json()
             why = {"no_interval": rate["no_interval"]} if "no_interval" in rate else {}
             points.append(
                 {
@@ -68,33 +63,27 @@ class FoundBySweep:
 
     def __str__(self) -> str:
         """A table with a row for each point, and where the files are."""
-        interval = "95 % at every look" if self.stopped else "95 % interval"
-        head = ["scenario", "variant", *self.grid, "runs", "bit/s", interval, "secret at most"]
+        head = ["scenario", "variant", *self.grid, "runs", "bit/s", "secret at most"]
         head += ["x'x", "u'u", "mistaken"]
         head += [f"{name} keys, messages" for name in (self.points[0].taps if self.points else ())]
         table = [head, *map(self._row, self.points)]
         columns = [column for column in zip(*table, strict=True) if any(column[1:])]
-        widths = [max(map(len, column)) for column in columns]
-        lines = [
-            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-            for row in zip(*columns, strict=True)
-        ]
-        lines.append(f"{self.rows} rows in {self.output}, {self.new} of them new")
-        lines.append(
-            f"rates and intervals, a row a point, in {self.rates}; "
-            f"`wyner sweep {self.rates} --plot` draws them"
+        return "\n".join(
+            [
+                *aligned(zip(*columns, strict=True)),
+                f"{self.rows} rows in {self.output}, {self.new} of them new",
+                f"rates and intervals, a row a point, in {self.rates}; "
+                f"`wyner sweep {self.rates} --plot` draws them",
+            ]
         )
-        return "\n".join(lines)
 
     def _row(self, s: Summary) -> list[str]:
-        rate = self._rate(s)
         return [
             str(s.first["scenario"]),
             str(s.first["variant"]),
             *(str(s.first[name]) for name in self.grid),
             str(s.runs),
-            f"{rate.value:.4g}",
-            f"[{rate.low:.4g}, {rate.high:.4g}]" if rate.known else "none",
+            s.rate.text(".4g"),
             "no eavesdropper" if s.secret is None else f"{s.secret:.2g}",
             *(f"{cost.value:.3g}" for cost in s.costs.values()),
             str(s.counts["mistaken"]),

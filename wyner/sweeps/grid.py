@@ -9,7 +9,7 @@ import itertools
 import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -17,9 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
 from protocol.schemes.registry import scheme_named
-from runtime.errors import UsageError
 from runtime.files import read_regular
-from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS
 from wyner.simulate import UNATTACKED, UNSEALED
@@ -52,13 +50,6 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Stop(_Part):
-    """When a point has enough runs: its rate's interval is this narrow, or the limit is reached."""
-
-    relative_width: Annotated[float, Field(gt=0)]
-    max_runs: Annotated[int, Field(ge=1)]
-
-
 class Variant(_Part):
     """Fields that are set together, under one name."""
 
@@ -83,7 +74,7 @@ class Sweep(_Part):
     scenario : str or list of str
         Shipped names, or paths relative to the file.
     runs : int
-        Runs of each point; with a stopping rule, runs of the first look.
+        Runs of each point.
     batch : int
         Runs of one task at most.
     steps, seed : int
@@ -95,7 +86,6 @@ class Sweep(_Part):
         Who listens to every run, as ``wyner tap --eavesdropper`` takes them; each run then sends
         ``message`` again and again. Paths are relative to the file.
     message : str
-    stop : Stop, optional
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
@@ -109,7 +99,6 @@ class Sweep(_Part):
     variant: tuple[Variant, ...] = (Variant(label=""),)
     eavesdroppers: tuple[str, ...] = ()
     message: Annotated[str, Field(min_length=1, max_length=1000)] = "At nine."
-    stop: Stop | None = None
     quick: Quick = Quick()
 
     @model_validator(mode="after")
@@ -133,14 +122,9 @@ class Sweep(_Part):
         several = not isinstance(self.scenario, str) and len(self.scenario) > 1
         return (FILE, *self.grid) if several else tuple(self.grid)
 
-    @property
-    def limit(self) -> int:
-        """Runs that no point needs more than."""
-        return max(self.runs, self.stop.max_runs if self.stop else 0)
-
     def quickly(self) -> "Sweep":
-        """The same grid with few runs and no stopping rule."""
-        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps, "stop": None}
+        """The same grid with few runs."""
+        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps}
         return self.model_copy(update=changes)
 
 
@@ -206,26 +190,11 @@ def canonical(value: object) -> str:
 
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario the numbers depend on; a field that is left as it is names nothing new.
-
-    Of measured delays that is what their file says, wherever it lies.
-    """
+    """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
     neutral = NEUTRAL if scenario.network is None else NEUTRAL - {"link"}
-    data = scenario.model_dump(
+    return scenario.model_dump(
         mode="json", exclude=set(neutral), exclude_none=True, exclude_defaults=True
     )
-    for name, way in _measured(data):
-        way["file"] = _hash(measured_delays(getattr(scenario.network, name), Path()))
-    return data
-
-
-def _measured(data: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """The directions of a scenario's network whose delays are a file's, in its fields."""
-    network = data.get("network")
-    ways = network.items() if isinstance(network, dict) else ()
-    return [
-        (n, way) for n, way in ways if isinstance(way, dict) and isinstance(way.get("file"), str)
-    ]
 
 
 def _hash(value: object) -> str:
@@ -277,12 +246,12 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     known: dict[tuple[str, str, str], str] = {}
     points = []
     for name, variant in itertools.product(names, sweep.variant):
-        path, base = _scenario(folder, name)
+        base = _scenario(folder, name)
         where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
         for values in itertools.product(*sweep.grid.values()):
             fields = dict(zip(sweep.grid, values, strict=True))
             try:
-                scenario = _changed(base, variant.set | fields, path.parent, where)
+                scenario = _changed(base, variant.set | fields, where)
             except SweepError as error:
                 problems |= dict.fromkeys(error.problems)
                 continue
@@ -300,17 +269,17 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     return points
 
 
-def _scenario(folder: Path, name: str) -> tuple[Path, Scenario]:
-    """A scenario of a sweep in ``folder``, or else a shipped one; and where it is looked for."""
+def _scenario(folder: Path, name: str) -> Scenario:
+    """A scenario of a sweep in ``folder``, or else a shipped one."""
     path, shipped = folder / name, SCENARIOS / f"{name}.toml"
     try:
-        return path, load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
+        return load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
     except ScenarioError as error:
         raise SweepError(error.problems) from None
 
 
-def _changed(base: Scenario, settings: dict[str, Any], folder: Path, where: str) -> Scenario:
-    """A scenario with some fields set; files of delays are looked for beside it.
+def _changed(base: Scenario, settings: dict[str, Any], where: str) -> Scenario:
+    """A scenario with some fields set.
 
     Raises
     ------
@@ -323,16 +292,10 @@ def _changed(base: Scenario, settings: dict[str, Any], folder: Path, where: str)
             set_field(data, field_path, value)
     except ScenarioError as error:
         raise SweepError(f"{where}: {error}") from None
-    for _, way in _measured(data):
-        way["file"] = str((folder / way["file"]).resolve())
     try:
-        scenario = parse_scenario(data, where)
-        check_delays(scenario, Path())
+        return parse_scenario(data, where)
     except ScenarioError as error:
         raise SweepError(error.problems) from None
-    except UsageError as error:
-        raise SweepError(error.lines) from None
-    return scenario
 
 
 def _unlike(sweep: Sweep, scenario: Scenario, where: str) -> Iterator[str]:
@@ -353,13 +316,9 @@ def _task(sweep: Sweep, scenario: Scenario) -> str:
 
 @dataclass
 class Group:
-    """Points that differ in alpha only, and share their trajectories.
-
-    ``done`` has the rows of each task's batches, by number.
-    """
+    """Points that differ in alpha only, and share their trajectories."""
 
     points: list[Point]
-    done: dict[tuple[str, int], list[Row]] = field(default_factory=dict)
     failure: str = ""
 
 

@@ -15,7 +15,6 @@ from protocol.statistics import (
     Interval,
     bits_left,
     mean_over_runs,
-    mean_sequence,
     normal_mean,
     share_over_runs,
     wilson,
@@ -23,6 +22,9 @@ from protocol.statistics import (
 from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
 from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import Point, Row, SweepError, canonical
+
+Spread = Counter[tuple[int, ...]]
+"""How many runs had each number, or each number of another."""
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
@@ -42,16 +44,17 @@ MEASURED: Final = (
     "runs_by_agreed",
 )
 """Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
-BY_RUN: Final = "runs_by_agreed"
-"""The column that says how many runs had how many of how many, as ``23/25:4``: agreed steps of
-those tested."""
 TAPPED_BY_RUN: Final = ("runs_by_keys", "runs_by_messages")
-"""The same of each eavesdropper: keys known of those agreed, messages read of those delivered."""
+SPREADS: Final = ("runs_by_symbols", "runs_by_agreed", *TAPPED_BY_RUN)
+"""Columns that say how many runs had how many of how many, as ``23/25:4``: message symbols; agreed
+steps of those tested; and of each eavesdropper keys known of those agreed, messages read of those
+delivered."""
 TAPPED: Final = ("agreed", "right", "known", "delivered", "read", "key_blocks", "key_bits")
-"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, named right at once, and
-known at once up to one relabelling of the symbols a run (:mod:`protocol.relabelling`);
-messages that the plant had whole and, of these, those that she had; key blocks and the bits of
-their rows that she holds, where she goes for keys. Named ``tap.NAME.right``."""
+"""Columns of each eavesdropper, after MEASURED and before :data:`TAPPED_BY_RUN`: keys agreed and
+of these, named right at once, and known at once up to one relabelling of the symbols a run
+(:mod:`protocol.relabelling`); messages that the plant had whole and, of these, those that she had;
+key blocks and the bits of their rows that she holds, where she goes for keys. Named
+``tap.NAME.right``."""
 
 
 def tap_columns(names: Iterable[str]) -> tuple[str, ...]:
@@ -133,7 +136,7 @@ class Results:
             self._write(self.columns)
 
     def _write(self, values: Sequence[object]) -> None:
-        self._file.write(_line(values))
+        self._file.write(_line([_cell(value) for value in values]))
         self._file.flush()
 
     def add(self, point: Point, measured: Row) -> Row:
@@ -213,25 +216,36 @@ def read_rows(path: Path) -> list[Row]:
 
 def _numbers(path: Path, rows: list[Row]) -> list[Row]:
     for number, row in enumerate(rows, start=2):
-        counted = {}
-        try:
-            for name in (*MEASURED, *tap_columns(taps_in(row))):
-                if name == "runs_by_symbols":
-                    counted[name] = sum(histogram_of(row[name]).values())
-                elif name.rpartition(".")[2] in (BY_RUN, *TAPPED_BY_RUN):
-                    counted[name] = sum(pairs_of(row[name]).values())
-                else:
-                    row[name] = float(row[name]) if name in REALS else int(row[name])
-        except (KeyError, ValueError):
-            raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
-        for name, runs in counted.items():
-            if runs != row["runs"]:
+        for name in (*MEASURED, *tap_columns(taps_in(row))):
+            try:
+                row[name] = value = _value(name, row[name])
+            except (KeyError, ValueError):
+                raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
+            if isinstance(value, Counter) and value.total() != row["runs"]:
                 raise SweepError(f"{path}: line {number}: {name}: expected {row['runs']} runs")
     try:
         summarise(rows)
     except SweepError as error:
         raise SweepError(f"{path}: {error}") from None
     return rows
+
+
+def _value(column: str, text: str) -> int | float | Spread:
+    """A cell of a measured column."""
+    if column.rpartition(".")[2] in SPREADS:
+        found: Spread = Counter()
+        for part in text.split():
+            value, runs = part.split(":")
+            found[tuple(map(int, value.split("/")))] += int(runs)
+        return found
+    return float(text) if column in REALS else int(text)
+
+
+def _cell(value: object) -> object:
+    """As :func:`_value` reads it."""
+    if not isinstance(value, Counter):
+        return value
+    return " ".join(f"{'/'.join(map(str, v))}:{runs}" for v, runs in sorted(value.items()))
 
 
 @dataclass(frozen=True)
@@ -242,44 +256,48 @@ class Summary:
     ----------
     first : dict
         The first of the rows: task, fields and all that they share.
-    runs : int
-    counts, sums : dict
-    histogram : dict
-        How many runs carried each number of message symbols.
-    taps : dict
-        For each eavesdropper the counts of `TAPPED`.
-    pairs : dict
-        For each share how many runs had how many of how many.
+    total : dict
+        By column, what adds up.
     """
 
     first: Row
-    runs: int
-    counts: dict[str, int]
-    sums: dict[str, float]
-    histogram: dict[int, int]
-    taps: dict[str, dict[str, int]]
-    pairs: dict[str, dict[tuple[int, int], int]]
+    total: Row
 
     @property
-    def _scale(self) -> float:
-        row = self.first
-        return float(log2(row["candidates"]) / (row["steps"] * row["period_s"]))
+    def runs(self) -> int:
+        """How many there are."""
+        return int(self.total["runs"])
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The columns :data:`COUNTS`."""
+        return {name: self.total[name] for name in COUNTS}
+
+    @property
+    def sums(self) -> dict[str, float]:
+        """The columns :data:`SUMS`."""
+        return {name: self.total[name] for name in SUMS}
+
+    @property
+    def taps(self) -> dict[str, dict[str, int]]:
+        """For each eavesdropper the counts of :data:`TAPPED`."""
+        return {
+            name: {column: self.total[f"tap.{name}.{column}"] for column in TAPPED}
+            for name in taps_in(self.first)
+        }
 
     @property
     def rate(self) -> Interval:
         """Bits a second of plant time, with the bootstrap interval over runs."""
-        return mean_over_runs(self.histogram).scaled(self._scale)
-
-    @property
-    def rate_at_every_look(self) -> Interval:
-        """The same with limits that hold at every look: where runs are added until they fit."""
-        return mean_sequence(self.histogram).scaled(self._scale)
+        row, symbols = self.first, self.total["runs_by_symbols"]
+        scale = float(log2(row["candidates"]) / (row["steps"] * row["period_s"]))
+        return mean_over_runs({v: runs for (v,), runs in symbols.items()}).scaled(scale)
 
     @property
     def costs(self) -> dict[str, Interval]:
         """Mean squares a step of the state and of the input, over runs: what control costs."""
         return {
-            name: normal_mean(self.sums[name], self.sums[f"{name}_squares"], self.runs)
+            name: normal_mean(self.total[name], self.total[f"{name}_squares"], self.runs)
             for name in ("state_cost", "input_effort")
         }
 
@@ -298,41 +316,12 @@ class Summary:
     @property
     def shares(self) -> dict[str, Interval]:
         """Steps that agreed, and of each eavesdropper keys known and messages read, over runs."""
-        return {name: share_over_runs(Counter(p).elements()) for name, p in self.pairs.items()}
-
-
-def histogram_of(text: str) -> dict[int, int]:
-    """The column ``runs_by_symbols``, read."""
-    pairs = (pair.split(":") for pair in text.split())
-    return {int(value): int(runs) for value, runs in pairs}
-
-
-def pairs_of(text: str) -> dict[tuple[int, int], int]:
-    """A column of :data:`BY_RUN` or :data:`TAPPED_BY_RUN`, read."""
-    found: Counter[tuple[int, int]] = Counter()
-    for part in text.split():
-        pair, runs = part.split(":")
-        right, of = pair.split("/")
-        found[int(right), int(of)] += int(runs)
-    return dict(found)
-
-
-def pairs_text(pairs: Iterable[tuple[int, int]]) -> str:
-    """The successes and trials of each run, as such a column holds them."""
-    counted = sorted(Counter(pairs).items())
-    return " ".join(f"{right}/{of}:{runs}" for (right, of), runs in counted)
-
-
-def _pairs(rows: Sequence[Row]) -> dict[str, dict[tuple[int, int], int]]:
-    """Of each share how many runs had how many of how many."""
-    columns = {"agreed": BY_RUN}
-    for name in taps_in(rows[0]):
-        for share, column in zip(("keys known", "messages read"), TAPPED_BY_RUN, strict=True):
-            columns[f"{name} {share}"] = f"tap.{name}.{column}"
-    return {
-        share: dict(sum((Counter(pairs_of(row[column])) for row in rows), Counter()))
-        for share, column in columns.items()
-    }
+        columns = {"agreed": "runs_by_agreed"}
+        for name in taps_in(self.first):
+            for share, column in zip(("keys known", "messages read"), TAPPED_BY_RUN, strict=True):
+                columns[f"{name} {share}"] = f"tap.{name}.{column}"
+        pairs = {share: self.total[column].elements() for share, column in columns.items()}
+        return {share: share_over_runs(list(them)) for share, them in pairs.items()}
 
 
 def summarise(rows: Iterable[Row]) -> list[Summary]:
@@ -353,60 +342,38 @@ def summarise(rows: Iterable[Row]) -> list[Summary]:
             if following["first_run"] < one["first_run"] + one["runs"]:
                 shown = ", ".join(part for part in key_of(one) if part)
                 raise SweepError(f"{shown}: run {following['first_run']} stands there twice")
-        histogram: Counter[int] = Counter()
-        for row in same:
-            histogram.update(histogram_of(row["runs_by_symbols"]))
-        out.append(
-            Summary(
-                first=same[0],
-                runs=sum(row["runs"] for row in same),
-                counts={name: sum(row[name] for row in same) for name in COUNTS},
-                sums={name: sum(row[name] for row in same) for name in SUMS},
-                histogram=histogram,
-                taps={
-                    name: {c: sum(row[f"tap.{name}.{c}"] for row in same) for c in TAPPED}
-                    for name in taps_in(same[0])
-                },
-                pairs=_pairs(same),
-            )
-        )
+        first, *others = same
+        additive = ("runs", *COUNTS, *SUMS, *SPREADS[:2], *tap_columns(taps_in(first)))
+        total = {name: sum((row[name] for row in others), first[name]) for name in additive}
+        out.append(Summary(first, total))
     return out
 
 
-def ready_rows(
-    summaries: Sequence[Summary], fields: Sequence[str], *, stopped: bool = False
-) -> list[Row]:
+def ready_rows(summaries: Sequence[Summary], fields: Sequence[str]) -> list[Row]:
     """One row a point with what people plot: rates, shares, and the ends of their 95 % intervals.
 
-    Intervals are over runs; where the sweep has a stopping rule, the rate's hold at every look. A
-    cell is empty where there is no interval.
+    Intervals are over runs. A cell is empty where there is none.
     """
 
-    def cell(value: float) -> float | str:
-        return "" if isnan(value) else value
+    def cells(name: str, found: Interval, before: str = "_") -> Row:
+        ends = {"": found.value, f"{before}low": found.low, f"{before}high": found.high}
+        return {f"{name}{end}": "" if isnan(v) else v for end, v in ends.items()}
 
     rows = []
     for s in summaries:
-        rate = s.rate_at_every_look if stopped else s.rate
         row: Row = {
             "scenario": s.first["scenario"],
             "variant": s.first["variant"],
             **{name: s.first[name] for name in fields},
             "runs": s.runs,
             "steps": s.first["steps"],
-            "bits_per_second": rate.value,
-            "bits_per_second_low": cell(rate.low),
-            "bits_per_second_high": cell(rate.high),
+            **cells("bits_per_second", s.rate),
             "secret_bits_per_second_at_most": "" if s.secret is None else s.secret,
         }
         for name, cost in s.costs.items():
-            row[name] = cell(cost.value)
-            row[f"{name}_low"] = cell(cost.low)
-            row[f"{name}_high"] = cell(cost.high)
+            row |= cells(name, cost)
         for name, share in s.shares.items():
-            row[name] = cell(share.value)
-            row[f"{name} low"] = cell(share.low)
-            row[f"{name} high"] = cell(share.high)
+            row |= cells(name, share, before=" ")
         rows.append(row)
     return rows
 

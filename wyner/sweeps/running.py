@@ -1,4 +1,4 @@
-"""Running a sweep: tasks for any executor, additive rows, a stopping rule.
+"""Running a sweep: tasks for any executor, additive rows.
 
 A point's runs come in batches. A task simulates one batch, and gives one row of counts for each
 alpha that shares its trajectories. Rows of one point add up, and they are written in one order; so
@@ -31,15 +31,7 @@ from wyner.sweeps.grid import (
     describe,
     groups_of,
 )
-from wyner.sweeps.results import (
-    BY_RUN,
-    COUNTS,
-    Results,
-    key_of,
-    pairs_text,
-    summarise,
-    tap_columns,
-)
+from wyner.sweeps.results import COUNTS, Results, key_of, tap_columns
 from wyner.sweeps.workers import in_order
 
 
@@ -110,11 +102,12 @@ def run_task(
     rows = []
     for i in range(len(alphas)):
         counts = {name: int(getattr(link, name)[i].sum()) for name in COUNTS}
-        histogram = Counter(link.message_symbols[i].tolist())
-        text = " ".join(f"{v}:{runs}" for v, runs in sorted(histogram.items()))
         heard = _heard(simulated, alphas[i], eavesdroppers, message) if eavesdroppers else {}
         agreed = zip(link.agreements[i].tolist(), link.tested[i].tolist(), strict=True)
-        by_run = {"runs_by_symbols": text, BY_RUN: pairs_text(agreed)}
+        by_run = {
+            "runs_by_symbols": Counter((v,) for v in link.message_symbols[i].tolist()),
+            "runs_by_agreed": Counter(agreed),
+        }
         rows.append(common | counts | sums | by_run | heard)
     return loop_version(), rows
 
@@ -134,8 +127,8 @@ def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str)
         mine = [of_run[i] for of_run in of_runs]
         sums = [sum(column) for column in zip(*map(astuple, mine), strict=True)]
         by_run = [
-            pairs_text((got.known, got.agreements) for got in mine),
-            pairs_text((got.read, got.delivered) for got in mine),
+            Counter((got.known, got.agreements) for got in mine),
+            Counter((got.read, got.delivered) for got in mine),
         ]
         row |= zip(tap_columns([name_of(eavesdropper)]), (*sums, *by_run), strict=True)
     return row
@@ -155,28 +148,6 @@ def name_of(eavesdropper: str) -> str:
 
 
 Progress = Callable[[int, int], None]
-
-
-def stages(sweep: Sweep) -> Iterator[int]:
-    """Numbers of runs after which a point is looked at: doubling, up to the run limit."""
-    runs = sweep.runs
-    while runs < sweep.limit:
-        yield runs
-        runs *= 2
-    yield sweep.limit
-
-
-def _enough(sweep: Sweep, group: Group, runs: int) -> bool:
-    """Whether the first ``runs`` of every point of the group meet the stopping rule.
-
-    Whoever stops at the first narrow interval must have one that holds at every look. While all
-    runs of a point carried the same it has no limits and says nothing.
-    """
-    if sweep.stop is None:
-        return True
-    limit = sweep.stop.relative_width
-    rows = [row for done in group.done.values() for row in done if row["first_run"] < runs]
-    return all(s.rate_at_every_look.relative_width <= limit for s in summarise(rows))
 
 
 def run_sweep(
@@ -204,30 +175,25 @@ def run_sweep(
         When a worker has another version of the code.
     """
     groups = groups_of(points)
-    known: dict[tuple[str, str, str], list[Row]] = {}
-    for r in results.rows:
-        known.setdefault(key_of(r), []).append(r)
-    for group in groups:
-        for p in group.points:
-            for r in known.get(p.key, ()):
-                group.done.setdefault((p.task, r["first_run"] // sweep.batch), []).append(r)
-    waiting = list(groups)
-    finished = foreseen = 0
-    for runs in stages(sweep):
-        tasks = [
-            task
-            for group in waiting
-            for number in range(-(-runs // sweep.batch))
-            for task in _missing(group, number, sweep.batch, runs)
-        ]
-        foreseen += sum(task.runs for task in tasks)
-        ready = (task for task in tasks if not task.group.failure)
-        for task, answer in in_order(executor, run_task, ready, lambda one: one.arguments(sweep)):
-            _take(task, *answer, results, sweep.batch)
-            finished += task.runs
-            if progress is not None:
-                progress(finished, foreseen)
-        waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, runs)]
+    done: dict[tuple[str, str, str], list[Row]] = {}
+    for row in results.rows:
+        done.setdefault(key_of(row), []).append(row)
+    tasks = [task for group in groups for task in _missing(group, done, sweep)]
+    finished, foreseen = 0, sum(task.runs for task in tasks)
+    ready = (task for task in tasks if not task.group.failure)
+    for task, (version, answer) in in_order(
+        executor, run_task, ready, lambda one: one.arguments(sweep)
+    ):
+        if version != loop_version():
+            raise SweepError(f"a worker has code version {version}, this is {loop_version()}")
+        finished += task.runs
+        if isinstance(answer, str):
+            task.group.failure = answer
+        elif not task.group.failure:
+            for point, measured in zip(task.points, answer, strict=True):
+                results.add(point, measured)
+        if progress is not None:
+            progress(finished, foreseen)
     return [f"{describe(g.points[0])}: {g.failure}" for g in groups if g.failure]
 
 
@@ -248,32 +214,22 @@ class _Task:
         return (*loop, list(sweep.eavesdroppers), sweep.message) if sweep.eavesdroppers else loop
 
 
-def _missing(group: Group, number: int, batch: int, runs: int) -> list[_Task]:
-    """What of a batch the rows of each point leave out, up to run ``runs - 1``."""
-    end = min((number + 1) * batch, runs)
-    lacking: dict[tuple[int, int], list[Point]] = {}
-    for p in group.points:
-        at = number * batch
-        for row in sorted(group.done.get((p.task, number), ()), key=itemgetter("first_run")):
-            until = min(row["first_run"], end)
-            if at < until:
-                lacking.setdefault((at, until), []).append(p)
-            at = row["first_run"] + row["runs"]
-        if at < end:
-            lacking.setdefault((at, end), []).append(p)
-    return [_Task(group, them, at, until - at) for (at, until), them in lacking.items()]
-
-
-def _take(task: _Task, version: str, answer: list[Row] | str, results: Results, batch: int) -> None:
-    """Write a task's rows, unless its group has failed."""
-    group = task.group
-    if group.failure:
-        return
-    if version != loop_version():
-        raise SweepError(f"a worker has code version {version}, this is {loop_version()}")
-    if isinstance(answer, str):
-        group.failure = answer
-        return
-    for point, measured in zip(task.points, answer, strict=True):
-        done = group.done.setdefault((point.task, task.first // batch), [])
-        done.append(results.add(point, measured))
+def _missing(
+    group: Group, done: dict[tuple[str, str, str], list[Row]], sweep: Sweep
+) -> Iterator[_Task]:
+    """What the rows of each point leave out, batch by batch."""
+    for begin in range(0, sweep.runs, sweep.batch):
+        end = min(begin + sweep.batch, sweep.runs)
+        lacking: dict[tuple[int, int], list[Point]] = {}
+        for p in group.points:
+            at = begin
+            for row in sorted(done.get(p.key, ()), key=itemgetter("first_run")):
+                first, after = row["first_run"], row["first_run"] + row["runs"]
+                if begin <= first < begin + sweep.batch:
+                    if at < min(first, end):
+                        lacking.setdefault((at, min(first, end)), []).append(p)
+                    at = after
+            if at < end:
+                lacking.setdefault((at, end), []).append(p)
+        for (at, until), them in lacking.items():
+            yield _Task(group, them, at, until - at)

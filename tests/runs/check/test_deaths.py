@@ -6,11 +6,13 @@ import pytest
 
 from protocol.link.events import RESUMED
 from protocol.link.records import Side
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import PLANT_TRACE
+from tests.support.checked_runs import failed
+from tests.support.pair import SIDES, Name
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
-from tests.support.traces import read_trace
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
+from wyner.runs.run import Run
 
 MESSAGES = [b"a", b"b", b"b"]
 
@@ -40,8 +42,9 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
     assert (loop.plant.state.record.frame.messages, loop.received) == (3, MESSAGES)
     loop.stop()
     assert loop.wrong() == []
-    for path, report in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
-        assert len(list(read_trace(tmp_path / path).of(report))) == 3
+    run = Run.load(tmp_path)
+    assert len(list(run.columns("plant").told("recovered"))) == 3
+    assert len(list(run.columns("controller").told("delivered"))) == 3
 
 
 def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
@@ -55,6 +58,17 @@ def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: P
     assert loop.received == [b"a", b"c"]
     loop.stop()
     assert loop.wrong() == []
+
+
+def test_a_block_of_a_session_that_nobody_knows_fails(tmp_path: Path) -> None:
+    loop = RecordedPair(tmp_path, name="keys")
+    loop.run(lambda: loop.transitions >= 150)
+    loop.stop()
+    lines = read_lines(tmp_path / PLANT_TRACE)
+    block = next(line for line in lines if line["event"] == "block")
+    block["session"] = "f" * 16
+    write_lines(tmp_path / PLANT_TRACE, lines)
+    assert "blocks" in failed(tmp_path)
 
 
 @pytest.mark.parametrize(("after", "reports"), [(1, 4), (2, 3)])
@@ -87,3 +101,32 @@ def test_a_missed_step_that_was_not_saved_is_made_again(tmp_path: Path) -> None:
     lines[at:at] = [unsaved, *back, lines[at - 1]]
     write_lines(tmp_path / PLANT_TRACE, [line for line in lines if line["event"] != "end"])
     assert check(read_evidence(tmp_path)) == []
+
+
+class Killed(Exception):
+    pass
+
+
+class Mortal(RecordedPair):
+    """Whoever is killed stays dead."""
+
+    def die(self, side: Name) -> None:
+        self.kill(side)
+        raise Killed
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("name", ["keys", "sealed"])
+def test_a_run_that_a_kill_ends_before_its_last_step_is_traced_is_honest(
+    tmp_path: Path, name: str, side: Side
+) -> None:
+    loop = Mortal(tmp_path, MESSAGES[0], name=name)
+    loop.run(lambda: loop.plant.state.record.link.k >= 30)
+    loop.crash_at(side, "tracing")
+    with pytest.raises(Killed):
+        loop.run(lambda: False)
+    (other,) = loop.ends
+    loop.kill(other)
+    (killed,) = (t for t in read_evidence(tmp_path).ends() if t.side == side)
+    assert killed.untraced is not None
+    assert loop.wrong() == []

@@ -10,7 +10,7 @@ from runtime.run_folder import CONTROLLER_TRACE
 from tests.support.checked_runs import failed
 from tests.support.mail import Mail, mail
 from tests.support.recorded_pair import RecordedPair
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 
 ONSET = 200
 STEPS = 250
@@ -42,7 +42,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_alarm_is_told_and_checked(ended: Path) -> None:
-    told = list(read_trace(ended / CONTROLLER_TRACE).of("alarm"))
+    told = events_of(ended / CONTROLLER_TRACE, "alarm")
     assert [(alarm["j"], alarm["reason"]) for alarm in told] == [(-1, "unwatched")]
     assert ONSET + 180 < told[0]["k"] < ONSET + 210
     assert "alarms" not in failed(ended)

@@ -9,7 +9,7 @@ import pytest
 from runtime.recording import Bounds, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 from wyner.cli.main import main
 from wyner.runs.check import Result, judge
 from wyner.runs.check.evidence import read_evidence
@@ -63,7 +63,7 @@ def copied(parted: Path, tmp_path: Path) -> Path:
 def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
     for path in (PLANT_TRACE, CONTROLLER_TRACE):
         assert len(parts_of(parted / path)) > 5
-        left, right = (read_trace(folder / path).events for folder in (parted, whole))
+        left, right = (events_of(folder / path, "transition") for folder in (parted, whole))
         assert [e | {"session": ""} for e in left] == [e | {"session": ""} for e in right]
     for one, many in zip(read_evidence(whole).ends(), read_evidence(parted).ends(), strict=True):
         assert one.rows.tobytes() == many.rows.tobytes()

@@ -31,14 +31,13 @@ from tests.support.recorded_pair import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.evidence_files import KINDS
-from wyner.runs.seal import broken, seal
+from wyner.runs.seal import READ, SEAL_ALONE, broken, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
     CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
     PLANT_STATUS: {"k": 60, "x": [0.5, 1e-3], "last_message": "", "tail_symbol": [-1, 1]},
     TAP_STATUS: {"t_ns": 0, "first_part": 0, "captured": 120, "dropped": 0},
-    BELIEFS: {"smoother": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
+    BELIEFS: {"text": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
     SUMMARY: {"delivered": True, "bits_per_second": 1.5, "taps": {"oracle": {"solved_k": 7}}},
     KNOWLEDGE: {"A": [[1.0, 0.0], [0.0, 1.0]], "alpha": None, "noise": 0.0},
 }
@@ -185,4 +184,4 @@ def test_check_says_which_files_are_evidence(run: Path, capsys: pytest.CaptureFi
     assert main(["check", str(run), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["sealed"]
-    assert [file["pattern"] for file in told["files"]] == [kind.pattern for kind in KINDS]
+    assert told["files"] == [*READ, *SEAL_ALONE]

@@ -76,9 +76,12 @@ class Evidence:
     def _trace(self, side: Side) -> Trace | None:
         if not parts_of(self.run.trace(side)):
             return None
-        journal = self.journals[side]
-        pending = journal.pending if isinstance(journal, JournalState) else None
-        return self.run.read(side, pending)
+        trace, journal = self.run.read(side), self.journals[side]
+        if isinstance(journal, JournalState) and journal.session is not None and not trace.ended:
+            at, last = (journal.session, journal.ahead), trace.last
+            traced = last is not None and (last.session, last.k) == at
+            trace.untraced = None if traced or journal.ahead < 0 else at
+        return trace
 
     def ends(self) -> Iterator[Trace]:
         """Both ends' traces, as far as they are there."""

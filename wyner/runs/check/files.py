@@ -141,10 +141,14 @@ def _behind(trace: Trace, journal: JournalState) -> str:
     """In what a trace and its journal differ; empty where they fit."""
     assert journal.session is not None
     counted, last = trace.transitions.get(journal.session, 0), trace.last
-    if counted != journal.transitions:
-        return f"it has {counted} transitions, its journal counts {journal.transitions}"
+    saved = journal.ahead >= 0 and trace.untraced is None
+    if counted != journal.transitions + saved:
+        return f"it has {counted} transitions, its journal counts {journal.transitions + saved}"
     if last is None or last.session != journal.session:
         return "" if not journal.transitions else "it goes on after its journal's session"
+    if saved:
+        same = trace.side == "controller" or (last.k, last.x) == (journal.k, journal.x)
+        return "" if same else f"it ends with step {last.k}, its journal with {journal.k}"
     if last.s != journal.s:
         return f"it ends in state {last.s}, its journal in state {journal.s}"
     if trace.side == "controller":

@@ -10,6 +10,7 @@ those of :mod:`protocol.statistics`.
 
 import base64
 import math
+from collections import defaultdict
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from operator import index
@@ -299,6 +300,62 @@ def _stray(truth: Truth, said: TapOutput) -> int:
     return sum((said.session, k) not in truth.symbols for k, _ in said.message_symbols)
 
 
+class Guesses:
+    """What the eavesdroppers of a run guessed, step by step, from the lines of their logs.
+
+    Parameters
+    ----------
+    lossless : bool
+        Whether the tap's link to the loop loses nothing, so that what it lacks was lost in it.
+    """
+
+    def __init__(self, *, lossless: bool) -> None:
+        self._lossless = lossless
+        self._live: defaultdict[str, BySteps] = defaultdict(BySteps)
+        self._reviewed: defaultdict[str, BySteps] = defaultdict(BySteps)
+        self._holes: defaultdict[str, BySteps] = defaultdict(BySteps)
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Take a line: a guess, or a second thought."""
+        name, at = event["name"], (event["session"], event["k"])
+        if event["event"] == "review":
+            self._reviewed[name][at] = event["symbol"]
+            return
+        self._live[name][at] = event["symbol"]
+        if self._lossless and event.get("hole"):
+            self._holes[name][at] = 1
+        else:
+            self._holes[name].pop(at, None)  # a process that was started again heard it
+
+    def said(self, record: Mapping[str, Any]) -> TapOutput:
+        """All that one of them said, whose record of her beliefs this is."""
+        symbols, name = record["symbols"], record["name"]
+        belief = Belief(
+            message=base64.b64decode(record["message"]),
+            whole=tuple(base64.b64decode(w) for w in record["whole"]),
+            whole_count=index(record["whole_count"]),
+            candidates_left=index(record["candidates_left"]),
+            solved_k=index(record["solved_k"]),
+            confidence=float(record["confidence"]),
+            bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
+            given=printable(str(record.get("given", ""))),
+            keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
+        )
+        return TapOutput(
+            name=printable(str(name)),
+            session=str(record["session"]),
+            live=self._live[name],
+            reviewed=self._reviewed[name],
+            belief=belief,
+            message_symbols=[(int(k), int(v)) for k, v in symbols or ()],
+            failed=str(record["failed"]),
+            heard_out=symbols is not None,
+            behind=index(record.get("behind", 0)),
+            holes=self._holes[name],
+            unused={kind: index(count) for kind, count in record.get("unused", {}).items()},
+        )
+
+
 def read_said(run: Run) -> list[TapOutput]:
     """What each eavesdropper of a run said, from the tap's files.
 
@@ -311,19 +368,10 @@ def read_said(run: Run) -> list[TapOutput]:
         records = run.beliefs()
     except RunError as error:
         raise ScoreError(str(error)) from None
-    guesses: dict[str, dict[str, BySteps]] = {}
-    lossless = _lossless(run)
+    guesses = Guesses(lossless=_lossless(run))
     for event in run.guesses():
-        kinds = ("guess", "review", "hole")
-        mine = guesses.setdefault(event["name"], {kind: BySteps() for kind in kinds})
-        at = event["session"], event["k"]
-        mine[event["event"]][at] = event["symbol"]
-        if event["event"] == "guess":
-            if lossless and event.get("hole"):
-                mine["hole"][at] = 1
-            elif at in mine["hole"]:
-                del mine["hole"][at]  # a process that was started again heard it
-    return [output_of(record, guesses.get(name, {})) for name, record in records.items()]
+        guesses.take(event)
+    return [guesses.said(record) for record in records.values()]
 
 
 def _lossless(run: Run) -> bool:
@@ -332,35 +380,6 @@ def _lossless(run: Run) -> bool:
         return View.model_validate(run.capture().header["view"]).hears_all
     except (CaptureError, LookupError, ValueError):
         return True
-
-
-def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
-    """What one eavesdropper said, from her record and her guesses by kind."""
-    symbols = record["symbols"]
-    belief = Belief(
-        message=base64.b64decode(record["message"]),
-        whole=tuple(base64.b64decode(w) for w in record["whole"]),
-        whole_count=index(record["whole_count"]),
-        candidates_left=index(record["candidates_left"]),
-        solved_k=index(record["solved_k"]),
-        confidence=float(record["confidence"]),
-        bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
-        given=printable(str(record.get("given", ""))),
-        keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
-    )
-    return TapOutput(
-        name=printable(str(record["name"])),
-        session=str(record["session"]),
-        live=guesses.get("guess", {}),
-        reviewed=guesses.get("review", {}),
-        belief=belief,
-        message_symbols=[(int(k), int(v)) for k, v in symbols or ()],
-        failed=str(record["failed"]),
-        heard_out=symbols is not None,
-        behind=index(record.get("behind", 0)),
-        holes=guesses.get("hole", {}),
-        unused={name: index(count) for name, count in record.get("unused", {}).items()},
-    )
 
 
 def read_truth(run: Run) -> Truth:

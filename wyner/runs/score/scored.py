@@ -8,13 +8,14 @@ from typing import Any
 
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED
+from protocol.text import aligned
 from runtime.errors import UsageError
 from runtime.run_folder import loops_below
 from tap_service.eavesdroppers import ORACLE
 from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
-from wyner.runs.score.replay import Replay
+from wyner.runs.score.replay import hear_again
 from wyner.runs.score.report import (
     BOUND,
     HEADINGS,
@@ -63,12 +64,7 @@ class ScoredRuns:
     def __str__(self) -> str:
         """A table with a row for each eavesdropper, the verdict, costs and key blocks."""
         r = self.report
-        table = [HEADINGS, *rows(r)]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in table
-        ]
+        lines = aligned([HEADINGS, *rows(r)])
         for tap in r.taps:
             told = [*remarks(tap), *map(held_line, tap.keys)]
             lines += [f"{tap.name}: {remark}" for remark in told]
@@ -128,9 +124,8 @@ def _heard_again(run: Run, names: Sequence[str]) -> RunScore:
     """The score of a run whose capture these eavesdroppers hear now."""
     truth = read_truth(run)
     scenario = run.scenario if ORACLE in names else None
-    replay = Replay(run.folder, names, scenario=scenario)
-    replay.run()
-    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
+    heard = hear_again(run.folder, names, scenario)
+    return RunScore(run.name, truth, tuple(score(truth, said) for said in heard.taps))
 
 
 def _audits(runs: Sequence[Run]) -> dict[str, KeyAudit]:

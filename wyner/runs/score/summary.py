@@ -2,9 +2,7 @@
 
 import base64
 import math
-from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
@@ -15,7 +13,6 @@ from protocol.link.session import rules_of
 from protocol.relabelling import in_words
 from protocol.statistics import COUNTED, Interval
 from protocol.text import readable
-from runtime.errors import UsageError
 from runtime.recording import TraceError
 from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
@@ -32,12 +29,6 @@ from wyner.runs.score.score import (
     score_run,
 )
 from wyner.runs.trace import columns
-from wyner.simulate.missed import missed_steps
-
-LOCKSTEP: Final = "fast"
-
-MOST_STEPS: Final = 100_000
-"""Steps of a run of which the network's share is found: it takes some microseconds each."""
 
 GUESS_LENGTH: Final = 72
 """Characters of an eavesdropper's guess that are shown to people."""
@@ -54,15 +45,12 @@ SHOWN_PAIRS: Final = 5
 """The same for people, after the first."""
 
 
-def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]:
+def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     """What a run came to, from its traces.
-
-    The network's measured delays are looked for in the folder ``delays``.
 
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
     it whole, -1 never. ``exchanged`` has so much of every message, the last 1000 of them.
-    Of ``missed`` steps ``missed_by_network`` are the network table's (:func:`missed_by_network`).
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
     every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
     ``trace_error`` says from where on a trace cannot be read, and what is summed up is
@@ -116,7 +104,6 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "seconds": seconds,
         "transitions": transitions,
         "missed": steps - transitions,
-        "missed_by_network": missed_by_network(run, rows["k"][~made].tolist(), steps, delays),
         "control_cost": mean_cost(rows, scenario.cost_weights),
         "agreements": agreements,
         "symbol_errors": wrong,
@@ -162,33 +149,6 @@ def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     }
 
 
-def missed_by_network(run: Run, without: Sequence[int], steps: int, delays: Path) -> int | None:
-    """How many of the steps without an offer the network's table takes, however fast the machine.
-
-    None without a table, in lock-step, where a step waits for its offer, and of long runs; also
-    where the file of measured delays is not in the folder ``delays``.
-    """
-    scenario, told = run.scenario, run.manifest or {}
-    if scenario.network is None or told.get("pace") == LOCKSTEP or not 0 < steps <= MOST_STEPS:
-        return None
-    seed = told.get("seed")
-    try:
-        taken = missed_steps(
-            scenario, seed=int(seed or 0), runs=range(1), steps=steps, folder=delays
-        )
-    except UsageError:
-        return None
-    assert taken is not None
-    return sum(bool(taken[k, 0]) for k in without if k < steps)
-
-
-def _missed(summary: dict[str, Any]) -> str:
-    """The missed steps, and those of them that are the network's."""
-    by_network = summary["missed_by_network"]
-    text = f"{summary['missed']} missed"
-    return text if by_network is None else f"{text}, {by_network} of them by the network's table"
-
-
 def _text(payload: bytes) -> str:
     return payload.decode("utf-8", errors="replace")
 
@@ -202,7 +162,7 @@ def render(summary: dict[str, Any]) -> str:
         f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
         f"recovered  {got}",
         *_others(summary),
-        f"loop       {summary['steps']} steps ({_missed(summary)}), "
+        f"loop       {summary['steps']} steps ({summary['missed']} missed), "
         f"{summary['seconds']:.0f} s of plant time",
         "agreed     "
         + (

@@ -629,12 +629,12 @@ def simulate_runs(
     loop: _Many | _One
     if asked or (plant is None and steps_together(scenario)):
         loop = _Many(scenario, law, runs, seed, draws, start, between)  # type: ignore[arg-type]
-        missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps, folder=folder)
+        missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps)
         return _simulated(loop, seed, steps, missed, record=record, between=between)
     parts = []
     for run in runs:
         one = range(run, run + 1)
-        missed = missed_steps(scenario, seed=seed, runs=one, steps=steps, folder=folder)
+        missed = missed_steps(scenario, seed=seed, runs=one, steps=steps)
         with closing(_One(scenario, law, run, seed, plant, folder)) as loop:
             parts.append(_simulated(loop, seed, steps, missed, record=record))
     return _beside(parts, runs)
