@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,34 +14,6 @@ from tests.system.test_integration import children_of, status
 from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
-
-
-def attacked(run: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
-    """The summary of a run in lock-step that passes its check."""
-    said = ["up", "--scenario", "packed", "--pace", "fast", "--json", "--run-dir", str(run)]
-    assert main([*said, *options]) == 0
-    summary: dict[str, Any] = json.loads(capsys.readouterr().out)
-    assert main(["check", str(run)]) == 0
-    return summary
-
-
-@pytest.mark.parametrize(
-    ("attack", "at"),
-    [
-        ("bias@30", "sensor"),
-        ("covert@30", "bus"),
-        ("stuck@30", "actuator"),
-    ],
-)
-def test_an_attacked_run_passes_the_check_and_says_how_far_the_plant_is(
-    attack: str, at: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    summary = attacked(tmp_path / "run", capsys, "--attack", attack, "--steps", "80")
-    found = summary["attack"]
-    assert (found["kind"], found["at"], found["onset"]) == (attack[:-3], at, 30)
-    assert found["failed"] == ""
-    assert summary["steps"] == 80
-    assert found["away"] == 0 if at == "actuator" else found["away"] > 0.3
 
 
 @pytest.mark.long
@@ -56,7 +27,7 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
         "Hi",
     ]
     up = subprocess.Popen(
-        [*command, "--headless", "--run-dir", str(run)],
+        [*command, "--run-dir", str(run)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -21,8 +21,7 @@ from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
 from tests.secret.test_keys_machine import WRONG as WRONG_STREAMS
-from tests.support.asked import hasty
-from tests.support.broken import FIRST_COPY, broken
+from tests.support.broken import FIRST_COPY, broken, hasty
 from tests.support.size import size
 
 Patch = pytest.MonkeyPatch

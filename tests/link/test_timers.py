@@ -3,7 +3,6 @@
 import random
 
 from protocol.messages import ControllerHello
-from tests.support.asked import gathered
 from tests.support.journals import plant_journal
 from tests.support.line import line_plant, line_rules
 
@@ -16,7 +15,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
     for _ in range(300):  # the sum answered + silence rounds, now and then below their difference
         now = draw.random() * 3
         plant, _ = line_plant(RULES, plant_journal(), lambda: "5" * 16, "b" * 16, now, None)
-        gathered(plant.start(now))
+        tuple(plant.start(now))
         hello = ControllerHello(
             instance=PARTNER,
             incarnation=1,
@@ -25,14 +24,14 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
             session=None,
             answers=None,
         )
-        gathered(plant.receive(ControllerHello, hello.wire(), now))
+        tuple(plant.receive(ControllerHello, hello.wire(), now))
         accepted = hello.model_copy(
             update={"verdict": "accepted", "session": "5" * 16, "answers": "b" * 16}
         )
-        gathered(plant.receive(ControllerHello, accepted.wire(), now))
+        tuple(plant.receive(ControllerHello, accepted.wire(), now))
         assert plant.state.session.accepted
         until = now + 2.5
         while now < until:
             now = max(now, plant.wake_at())
-            gathered(plant.wake(now))
+            tuple(plant.wake(now))
             assert plant.wake_at() > now

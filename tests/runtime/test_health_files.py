@@ -11,9 +11,9 @@ import pytest
 
 from protocol.messages import ControllerStatus, Status
 from runtime.health import HealthFiles, HealthWriter, read_status
-from tests.link.test_controller_tells import Told
-from tests.support.end_in_hand import status_of
+from runtime.run_folder import CONTROLLER_STATUS
 from tests.support.patience import PATIENCE_S
+from tests.support.recorded_pair import RecordedPair
 
 LOG = logging.getLogger("health files")
 
@@ -103,8 +103,9 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
 def test_a_status_begins_with_its_health_and_is_read_without_it(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "status.json"
-    HealthFiles(path, LOG).write(status_of(Told().at_work().core), 0.0)
-    assert path.read_bytes().startswith(b'{"health":"ok: ')
-    found = read_status(path, ControllerStatus)
-    assert found.transitions == 2
+    loop = RecordedPair(tmp_path, name="packed")
+    loop.steps(25)
+    path = tmp_path / CONTROLLER_STATUS
+    assert path.read_bytes().startswith(b'{"health":"')
+    assert read_status(path, ControllerStatus).transitions > 0
+    loop.stop()

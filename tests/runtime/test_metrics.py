@@ -18,9 +18,9 @@ from runtime.errors import UsageError
 from runtime.host import Host
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
-from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.statuses import status_of
 
 pytest.importorskip("prometheus_client")
 

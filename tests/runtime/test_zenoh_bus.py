@@ -179,28 +179,6 @@ def test_zenoh_carries_messages_both_ways_in_order_and_never_back_to_the_sender(
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("restarted", ["listening", "connecting"])
-def test_a_side_that_comes_back_is_found_again(restarted: str) -> None:
-    endpoints = free_endpoints(1)
-    sides: dict[str, dict[str, list[str]]] = {
-        "listening": {"listen": endpoints},
-        "connecting": {"connect": endpoints},
-    }
-    staying = sides["connecting" if restarted == "listening" else "listening"]
-    with ZenohBus(**staying) as stays:  # type: ignore[arg-type]
-        inbox = Inbox(stays)
-        publisher = stays.publisher("wyner/v2/loop/measurement")
-        for _ in range(3):
-            with ZenohBus(**sides[restarted]) as comes_back:  # type: ignore[arg-type]
-                at_other = Inbox(comes_back)
-                send_until_heard(comes_back, inbox)
-                until(lambda: publisher.matched, "the subscription of the other side")
-                publisher.put(b"welcome")
-                assert at_other.take()[1] == b"welcome"
-            until(lambda: not publisher.matched, "notice of the other side's end")
-
-
-@pytest.mark.integration
 def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None:
     import zenoh
 

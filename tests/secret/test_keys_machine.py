@@ -21,8 +21,7 @@ from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
 from protocol.secret.stream import NOTHING_HELD, NOWHERE, BlockKeys, Held, KeyStream, Position
 from runtime.perform import CrashPoint
-from tests.support.asked import hasty
-from tests.support.broken import broken
+from tests.support.broken import broken, hasty
 from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.pair import SIDES, Name
 from tests.support.safety import BEYOND, first_held

@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+from protocol.link.effects import Effect, Effects, Publish, Save
+from runtime.perform import Ports, perform
+
 FIRST_COPY = ("self._left = True  # copy 0", "self._left = False  # copy 0")
 """In the plant's stepper: a process that was started again takes its next copy for the first."""
 
@@ -62,3 +65,17 @@ def _replace(
     function.__kwdefaults__ = made.__kwdefaults__
     patch.setattr(owner, name, function)
     return True
+
+
+def hasty(effects: Effects, ports: Ports) -> None:
+    """A wrong shell, which sends before it saves."""
+    held: list[Effect] = []
+    for effect in effects:
+        if isinstance(effect, Save):
+            held.append(effect)
+            continue
+        perform([effect], ports)
+        if isinstance(effect, Publish):
+            perform(held, ports)
+            held.clear()
+    perform(held, ports)

@@ -117,6 +117,8 @@ class RecordedPair(Pair):
         Of coins, covers and disturbances.
     bounds : Bounds, optional
         Of the traces.
+    last : int, optional
+        The plant's last step.
 
     Attributes
     ----------
@@ -137,8 +139,10 @@ class RecordedPair(Pair):
         changes: tuple[tuple[str, str], ...] = (),
         seed: int | None = 1,
         bounds: Bounds | None = None,
+        last: int | None = None,
     ) -> None:
         super().__init__()
+        self._last = last
         self._pace, self._seed, self._bounds = Pace(pace), seed, bounds or Bounds()
         self._attack = attack
         self.relay: Attacker | None = None
@@ -180,7 +184,13 @@ class RecordedPair(Pair):
         more: Any = {"seed": self._seed, "bounds": self._bounds}
         if side == "plant":
             plant = PlantConfig(
-                self.scenario, self.folder, "loop", self._pace, attack=self._attack, **more
+                self.scenario,
+                self.folder,
+                "loop",
+                self._pace,
+                self._last,
+                attack=self._attack,
+                **more,
             )
             core, files = open_plant(plant, self.now)
         else:

@@ -38,10 +38,10 @@ from runtime.run_folder import (
     PLANT_STATUS,
     PLANT_TRACE,
 )
-from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.records import changed
+from tests.support.statuses import status_of
 from tests.support.traces import events_of, recovered_in
 
 Service = TypeVar("Service", PlantService, ControllerService)
