@@ -19,12 +19,11 @@ def build_parser() -> argparse.ArgumentParser:
     commands.add_parser("tables", help="write the tables on their pages")
     draw = commands.add_parser("figures", help="draw figures, all or those named")
     draw.add_argument("name", nargs="*", help="which (default: all)")
-    draw.add_argument("--measure", action="store_true", help="measure before what their data lack")
     draw.add_argument("--output", type=Path, metavar="D", help="folder (default: docs/figures)")
+    measure.add_argument("--jobs", type=int, default=1, metavar="N", help="workers (1)")
+    measure.add_argument("--dask", nargs="?", const="", metavar="ADDRESS", help="Dask workers")
     for one in (measure, draw):
         one.add_argument("--data", type=Path, metavar="D", help="folder (default: docs/data)")
-        one.add_argument("--jobs", type=int, default=1, metavar="N", help="workers (1)")
-        one.add_argument("--dask", nargs="?", const="", metavar="ADDRESS", help="Dask workers")
     commands.add_parser("stale", help="list files with rows of other code")
     scheme = commands.add_parser("scheme", help="the table of schemes, with one of your own")
     scheme.add_argument("scheme", metavar="FILE.py:NAME")
@@ -40,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
     match args.command:
         case "measure":
-            _measure(args, args.name, args.only)
+            _measure(args)
         case "tables":
             for path, text in pages().items():
                 path.write_text(text, encoding="utf-8")
@@ -55,21 +54,21 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _measure(args: argparse.Namespace, names: Sequence[str], only: str = "") -> None:
+def _measure(args: argparse.Namespace) -> None:
     from runtime.options import at_least
     from studies import DATA
     from studies.registry import studies
     from wyner.sweeps.workers import workers
 
     known = studies()
-    for name in names:
+    for name in args.name:
         if name not in known:
             raise UsageError(f"name: got {name!r}, expected one of {', '.join(sorted(known))}")
     at_least("--jobs", args.jobs, 1)
     with workers(args.jobs, args.dask) as executor:
-        for name in names:
+        for name in args.name:
             path = (args.data or DATA) / f"{name}.csv"
-            known[name].measure(path, executor, only)
+            known[name].measure(path, executor, args.only)
             print(path)
 
 
@@ -85,9 +84,6 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
     if unknown:
         raise UsageError(f"figures: got {unknown[0]!r}, expected {', '.join(FIGURES)}")
     names = args.name or list(FIGURES)
-    if args.measure:
-        files = dict.fromkeys(file for name in names for file in FIGURES[name].data)
-        _measure(args, list(files))
     try:
         for name in names:
             for path in draw(name, data, args.output or FIGURES_FOLDER):

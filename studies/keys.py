@@ -4,14 +4,14 @@ What is drawn is which copies she missed and which counted; what she then holds 
 many rows is certain.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from random import Random
 from typing import Final, NamedTuple, Self
 
 from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.bound import NONCE_BITS, Assumption, quantile
 from protocol.secret.extractor import WORDS
-from studies.registry import study
+from studies.registry import Lines, Row, study, table
 from tap_service.inference.key_solver import bits_held
 
 TRANSITIONS: Final = 256
@@ -117,3 +117,22 @@ def control_rows(control: str) -> Iterator[tuple[str, str, int, int, int, int]]:
     ):
         breached = sum(bits > 0 for bits in held)
         yield control, rule, BLOCKS, breached, max(held), BLOCKS - 1
+
+
+@table("key-controls", "keys", "key-controls")
+def shown(rows: Sequence[Row]) -> Lines:
+    """A line a control: blocks that she breaks, and the most bits of one that she holds."""
+    lines: list[tuple[str, ...]] = [("control", "rule broken", "most bits", "rule kept")]
+    found = {(row["control"], row["rule"]): row for row in rows}
+    for control in dict.fromkeys(row["control"] for row in rows):
+        broken, kept = (found[control, rule] for rule in ("broken", "kept"))
+        of = broken["blocks"]
+        lines.append(
+            (
+                control,
+                f"{broken['breached']} of {of}",
+                broken["worst_bits"],
+                f"{kept['breached']} of {of}",
+            )
+        )
+    return lines

@@ -1,25 +1,26 @@
 """What studies of eavesdroppers share: a run, what is heard of it, what each makes of that."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage
 from protocol.relabelling import best_labels, pairs_of, right_under
 from protocol.scenario import Scenario
-from protocol.statistics import Interval, share_over_runs
-from studies.registry import Lines, Row
-from studies.secrecy.study import offline, put_together
-from tap_service.capture.channel import View
-from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import Belief, named
+from protocol.statistics import share_over_runs
+from studies.registry import Lines, Row, interval_of
+from tap_service.capture.channel import View, WiretapChannel
+from tap_service.capture.transcript import Transcript, Transition
+from tap_service.eavesdroppers import Belief, Eavesdropper, named
+from tap_service.eavesdroppers.text import Text
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
-from wyner.simulate.engine.taps import transcript
+from wyner.simulate.engine.taps import public_messages
 
 SESSION: Final = "0" * 16
 
@@ -42,26 +43,22 @@ def one_run(
     return runs, transfer(runs, payloads=[payload])
 
 
-def heard_by(transitions: Sequence[Transition], view: View) -> list[Transition]:
-    """The transitions that a tap with this view puts together of copies 0."""
-    if view.clear:
-        return list(transitions)
-    return put_together(_messages(transitions), view)
+def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
+    """The transitions that a tap with this view puts together of messages."""
+    channel, made = WiretapChannel(view), Transcript()
+    seen = [heard for message in messages for _, heard in channel.hear(0, message)]
+    seen += [heard for _, heard in channel.rest()]
+    return [t for message in seen for t in made.hear(message)] + made.flush()
 
 
-def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:
-    """A measurement and an offer a step, and the last measurement."""
-    applied, after = -1, transitions[0].x
-    for t in transitions:
-        assert t.x is not None
-        assert t.candidates is not None
-        assert t.cipher is not None
-        assert after is not None
-        yield Measurement(session=SESSION, k=t.k, x=t.x, applied_k=applied, x_after=after)
-        yield Offer(session=SESSION, k=t.k, candidates=t.candidates, cipher=t.cipher)
-        applied, after = t.k, t.x_next
-    assert after is not None
-    yield Measurement(session=SESSION, k=applied + 1, x=after, applied_k=applied, x_after=after)
+def heard_of(runs: Runs, link: Transfer, view: View, place: int = 0) -> list[Transition]:
+    """What a tap with this view puts together of a run's copies 0."""
+    return put_together(public_messages(runs, link, place, SESSION), view)
+
+
+def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
+    """An eavesdropper for a whole capture: `text` reads it once, at the end."""
+    return Text(knowledge, live=False) if kind is Text else kind(knowledge)
 
 
 class Counts(NamedTuple):
@@ -81,23 +78,14 @@ class Counts(NamedTuple):
     seconds: float
 
 
-def heard(taps: Sequence[str], run: tuple[Runs, Transfer], view: View) -> list[Counts]:
-    """What each eavesdropper makes of a run, heard through ``view``."""
-    runs, link = run
-    transitions = heard_by(list(transcript(runs, link, 0)), view)
-    return counted(taps, runs.scenario, link, view, transitions)
-
-
-def counted(
-    taps: Sequence[str],
-    scenario: Scenario,
-    link: Transfer,
-    view: View,
-    transitions: Sequence[Transition],
+def heard(
+    taps: Sequence[str], made: tuple[Runs, Transfer], view: View, place: int = 0
 ) -> list[Counts]:
-    """What each eavesdropper makes of ``transitions``, which were heard through ``view``."""
-    truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
-    messages = whole_messages(link.message_symbol[:, 0].tolist(), scenario.secrecy.candidates)
+    """What each eavesdropper makes of a run, heard through ``view``."""
+    runs, link = made
+    scenario, transitions = runs.scenario, heard_of(runs, link, view, place)
+    truth = {k: key for k, key in enumerate(link.agreed[:, place].tolist()) if key != NO_SYMBOL}
+    messages = whole_messages(link.message_symbol[:, place].tolist(), scenario.secrecy.candidates)
     out = []
     for kind in map(named, taps):
         begun = time.process_time()
@@ -133,11 +121,8 @@ def by_condition(rows: Sequence[Row], taps: Sequence[str], conditions: Iterable[
     return lines
 
 
-def _both(row: dict[str, str]) -> str:
-    keys, read = (
-        Interval(*(100 * float(row[name]) for name in (what, f"{what}_low", f"{what}_high")))
-        for what in ("keys", "read")
-    )
+def _both(row: Row) -> str:
+    keys, read = (interval_of(row, name, 100) for name in ("keys", "read"))
     count = round(float(row["read"]) * int(row["delivered"]))
     share = f"{count} of {row['delivered']} [{read.low:.0f}, {read.high:.0f}]"
     return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {share}"

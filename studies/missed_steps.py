@@ -7,16 +7,12 @@ measurement after such a step too, nothing tells her that no symbol was carried 
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
-from studies.listeners import SESSION, Counts, by_condition, counted, one_run, told
+from studies.listeners import Counts, by_condition, heard, heard_of, one_run, told
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import put_together
 from studies.signalling import changed
 from tap_service.capture.channel import View
-from wyner.simulate.engine import Runs, Transfer
-from wyner.simulate.engine.taps import transcript
 
 RUNS, SEED = 10, 5
 LOST: Final = 0.03
@@ -54,53 +50,24 @@ def scenario_of(condition: str) -> Scenario:
     return parse_scenario(data, name)
 
 
-def messages_of(runs: Runs, link: Transfer) -> Iterator[FieldMessage]:
-    """All that the two ends of the first run say: in a missed step the plant alone speaks."""
-    made = {t.k: t for t in transcript(runs, link, 0)}
-    assert runs.x is not None
-    x = [tuple(row) for row in runs.x[:, :, 0].tolist()]
-    applied, after = -1, x[0]
-    for k, now in enumerate(x):
-        yield Measurement(session=SESSION, k=k, x=now, applied_k=applied, x_after=after)
-        if (t := made.get(k)) is not None:
-            assert t.candidates is not None
-            assert t.cipher is not None
-            assert t.x_next is not None
-            yield Offer(session=SESSION, k=k, candidates=t.candidates, cipher=t.cipher)
-            applied, after = k, t.x_next
-
-
-class Heard(NamedTuple):
-    """Of one run: steps that the plant missed, those she takes for possible, and the counts."""
-
-    missed: int
-    not_told: int
-    counts: list[Counts]
-
-
-def made_of(condition: str, run: int) -> Heard:
-    """What each eavesdropper makes of a run."""
-    of, scenario = CONDITIONS[condition], scenario_of(condition)
+def made_of(condition: str, run: int) -> tuple[int, int, list[Counts]]:
+    """Of a run: steps that the plant missed, those she takes for possible, and the counts."""
+    of = CONDITIONS[condition]
     payload = SENTENCES[run].encode()[: of.characters]
-    runs, link = one_run(scenario, run, seed=SEED, steps=of.steps, payload=payload)
-    view = View(loss=of.missed, seed=run)
-    transitions = put_together(messages_of(runs, link), view)
-    assert runs.missed is not None
-    missed = runs.missed[:, 0]
-    not_told = sum(bool(missed[t.k]) for t in transitions)
-    counts = counted(TAPS, scenario, link, view, transitions)
-    return Heard(int(missed.sum()), not_told, counts)
+    made = one_run(scenario_of(condition), run, seed=SEED, steps=of.steps, payload=payload)
+    view, missed = View(loss=of.missed, seed=run), made[0].missed
+    assert missed is not None
+    not_told = sum(bool(missed[t.k, 0]) for t in heard_of(*made, view))
+    return int(missed.sum()), not_told, heard(TAPS, made, view)
 
 
 @study("missed-steps", COLUMNS, lambda: CONDITIONS)
 def missed_rows(condition: str) -> Iterator[tuple[Any, ...]]:
     """One row an eavesdropper."""
-    runs = [made_of(condition, run) for run in range(RUNS)]
-    totals = sum(run.missed for run in runs), sum(run.not_told for run in runs)
-    steps = CONDITIONS[condition].steps
-    by_tap = zip(*(run.counts for run in runs), strict=True)
-    for tap, counts in zip(TAPS, by_tap, strict=True):
-        yield (condition, tap, RUNS, steps, SEED, LOST, *totals, *told(counts))
+    missed, not_told, counts = zip(*(made_of(condition, run) for run in range(RUNS)), strict=True)
+    totals, steps = (sum(missed), sum(not_told)), CONDITIONS[condition].steps
+    for tap, of_runs in zip(TAPS, zip(*counts, strict=True), strict=True):
+        yield (condition, tap, RUNS, steps, SEED, LOST, *totals, *told(of_runs))
 
 
 @table("missed-steps", "findings", "missed-steps")

@@ -8,11 +8,11 @@ from controller_service.laws.registry import make_law, synthesise
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario, parse_scenario
-from protocol.statistics import Interval, wilson
+from protocol.statistics import wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies.listeners import Counts, heard, one_run, told
-from studies.registry import Lines, Row, study, table
+from studies.registry import Lines, Row, interval_of, study, table
 from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs
 
@@ -103,7 +103,7 @@ def shown(rows: Sequence[Row]) -> Lines:
     return lines
 
 
-def _cell(row: dict[str, str]) -> str:
-    keys = Interval(*(100 * float(row[name]) for name in ("keys", "keys_low", "keys_high")))
+def _cell(row: Row) -> str:
+    keys = interval_of(row, "keys", 100)
     read = round(float(row["read"]) * int(row["delivered"]))
     return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {read} of {row['delivered']}"

@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from protocol.statistics import Interval
 from runtime.files import PUBLIC_FILE, write_atomically
 from runtime.progress import shown
 from studies import DATA
@@ -31,7 +32,7 @@ Values = Sequence[Any] | Mapping[str, Any]
 Measure = Callable[[Any], Iterable[Values]]
 
 MODULES: Final = (
-    "attacks.study", "attacks.tables", "attacks.watermark", "corners", "eavesdroppers", "keys",
+    "attacks.study", "attacks.tables", "corners", "eavesdroppers", "keys",
     "loops", "missed_steps", "network", "noise", "other_sets", "outputs", "readings",
     "schemes", "secrecy.kinds", "secrecy.study", "secrecy.tables", "settled",
     "shape", "signalling", "stochastic", "sweeps", "yardstick",
@@ -255,6 +256,12 @@ def markdown_table(lines: Sequence[Sequence[str]]) -> str:
     return "\n".join([head, "|---" * len(lines[0]) + "|", *rest])
 
 
+def interval_of(row: Row, name: str, scale: float = 1.0) -> Interval:
+    """A column of a row, times ``scale``, with its limits ``name_low`` and ``name_high``."""
+    value, low, high = (float(row[f"{name}{end}"]) for end in ("", "_low", "_high"))
+    return Interval(value, low, high).scaled(scale)
+
+
 def codes_of(rows: Sequence[Row]) -> str:
     """The states of the code that made rows, each with how many where there are several."""
     found = Counter(row["version"].partition("+")[2] or row["version"] for row in rows)
@@ -302,6 +309,8 @@ def pages() -> dict[Path, str]:
         rows = {name: recorded(name) for name in one.studies}
         made = one.make(*rows.values())
         shown = made if isinstance(made, str) else markdown_table(made)
+        if rows:
+            shown = f"{shown}\n\n{origin(rows)}"
         text = found.get(path) or path.read_text(encoding="utf-8")
-        found[path] = between_marks(text, mark, f"{shown}\n\n{origin(rows)}")
+        found[path] = between_marks(text, mark, shown)
     return found

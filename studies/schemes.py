@@ -20,7 +20,7 @@ from protocol.plugins import names_a_file
 from protocol.scenario import Scenario
 from protocol.schemes.registry import make_scheme
 from protocol.statistics import Interval, bits_left, mean_over_runs, wilson
-from studies.registry import Lines, Row, study, table
+from studies.registry import Lines, Row, interval_of, study, table
 from studies.signalling import changed
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript
@@ -243,10 +243,7 @@ def _line(row: Row) -> tuple[str, ...]:
     name = f"`{row['scheme']}`"
     if names_a_file(row["scheme"]):
         name = f"a file of one's own, `{row['scheme'].rpartition('/')[2]}`"
-    claimed, cost = (
-        Interval(*(float(row[f"{what}{end}"]) for end in ("", "_low", "_high")))
-        for what in ("claimed", "cost")
-    )
+    claimed, cost = (interval_of(row, what) for what in ("claimed", "cost"))
     eve = f"`{row['eve']}`: {row['named']} of {row['keys']} keys"
     if row["eve"] == KeySolver.name:
         eve = f"`{row['eve']}`: {row['named']} bits of {row['keys']} key blocks"

@@ -1,18 +1,15 @@
 """Data of docs/findings.md: keys named right where D_e has a shape of its own, by tap."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from controller_service.laws.registry import cached_design, make_law
-from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean
-from studies.registry import study
+from studies.listeners import heard
+from studies.registry import Lines, Row, interval_of, study, table
 from studies.signalling import changed
-from tap_service.eavesdroppers import named
+from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import transcript
 
 SEED: Final = 7
 RUNS, STEPS = 10, 600
@@ -41,18 +38,19 @@ def shape_rows(width: float) -> Iterator[tuple[Any, ...]]:
     law = make_law(scenario, cached_design(scenario))
     runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, record=True)
     link = transfer(runs, payloads=[MESSAGE])
-    for name in TAPS:
-        shares, whole, agreed = [], 0, 0
-        for place in range(RUNS):
-            tap = named(name)(scenario.knowledge())
-            live = [tap.observe(t).best for t in transcript(runs, link, place)]
-            late = {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-            best = {**dict(enumerate(live)), **late}
-            keys = link.agreed[:, place].tolist()
-            steps = [k for k, key in enumerate(keys) if key != NO_SYMBOL]
-            shares.append(float(np.mean([best[k] == keys[k] for k in steps])))
-            whole += MESSAGE in tap.belief().whole
-            agreed += len(steps)
-        values = np.array(shares)
-        mean = normal_mean(float(values.sum()), float((values**2).sum()), RUNS)
+    counts = [heard(TAPS, (runs, link), View(), place) for place in range(RUNS)]
+    for name, mine in zip(TAPS, zip(*counts, strict=True), strict=True):
+        shares = [one.later / one.keys for one in mine]
+        mean = normal_mean(sum(shares), sum(share**2 for share in shares), RUNS)
+        agreed, whole = sum(one.keys for one in mine), sum(one.read for one in mine)
         yield width, 0.96, name, RUNS, STEPS, SEED, agreed, *mean, whole
+
+
+@table("secrecy-shape", "findings", "secrecy-shape")
+def shown(rows: Sequence[Row]) -> Lines:
+    """Keys named right in %: half-widths of D_e in x_1 down, eavesdroppers across."""
+    lines: list[tuple[str, ...]] = [("D_e in x_1", *(f"`{tap}`" for tap in TAPS))]
+    for width in dict.fromkeys(row["width_1"] for row in rows):
+        mine = {row["tap"]: row for row in rows if row["width_1"] == width}
+        lines.append((width, *(interval_of(mine[tap], "right", 100).text(".1f") for tap in TAPS)))
+    return lines

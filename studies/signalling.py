@@ -1,9 +1,8 @@
-"""Data of docs/findings.md: rates of every law and scheme, the price, codes over blocks."""
+"""Data of docs/findings.md: rates of every law and scheme, and the price."""
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from fractions import Fraction
 from typing import Any, Final
 
 import numpy as np
@@ -16,8 +15,6 @@ from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import Interval, mean_over_runs, normal_mean
 from runtime.scenario_file import scenario_of
-from studies.capacity.blocks import chained_bits, finite_keys
-from studies.capacity.price import dither_price
 from studies.registry import study
 from wyner.simulate.engine import Runs, follow, simulate_runs
 
@@ -49,8 +46,6 @@ PRICE_COLUMNS: Final = (
     "law terminal candidates spacing alpha runs steps seed bits_per_step state_cost "
     "state_low state_high input_effort travel travel_low travel_high largest_input kx ku"
 )
-BLOCK_STEPS: Final = (1, 2, 5, 10, 40)
-BLOCK_COLUMNS: Final = "alpha steps bits_per_step volume_bound finite_bits"
 
 
 def changed(name: str, **tables: dict[str, Any]) -> Scenario:
@@ -147,7 +142,7 @@ def _price(name: str, scenario: Scenario, spacing: float) -> tuple[Any, ...]:
     size, alpha = scenario.secrecy.candidates, scenario.secrecy.alpha
     u = np.take_along_axis(runs.candidates[:, :, 0], runs.coin[:, None].astype(np.intp), 1)[:, 0]
     A, B, K = np.array(scenario.A), np.array(scenario.B), feedback_gain(scenario)
-    price = dither_price(A, B, K)
+    kx, ku = dither_price(A, B, K)
     bits = math.log2(size) * float(follow(runs, [alpha]).agreements.sum()) / (RUNS * STEPS)
     return (
         scenario.control.law,
@@ -163,20 +158,22 @@ def _price(name: str, scenario: Scenario, spacing: float) -> tuple[Any, ...]:
         float(runs.input_effort.mean()) / STEPS,
         *_mean(np.abs(np.diff(u, axis=0)).mean(axis=0)),
         float(np.abs(u).max()),
-        price.state[0],
-        price.input[0],
+        kx,
+        ku,
     )
+
+
+def dither_price(A: Array, B: Array, K: Array) -> tuple[float, float]:
+    """kx and ku: what dither p of variance 1, in u = K x + p, adds to the means of x'x and u'u.
+
+    Of one input, where no constraint is active.
+    """
+    from scipy.linalg import solve_discrete_lyapunov
+
+    S = solve_discrete_lyapunov(A + B @ K, B @ B.T)
+    return float(np.trace(S)), float(np.trace(K @ S @ K.T)) + 1.0
 
 
 def _mean(values: Array) -> Interval:
     """Mean over runs with its normal interval."""
     return normal_mean(float(values.sum()), float((values * values).sum()), len(values))
-
-
-@study("block-codes", BLOCK_COLUMNS)
-def block_rows(_: None) -> Iterator[tuple[Any, ...]]:
-    """The chained code over blocks of steps, beside the volume bound and what finite offers do."""
-    for steps in BLOCK_STEPS:
-        for alpha in (round(1.05 + 0.05 * k, 2) for k in range(180)):
-            chained = chained_bits(Fraction(str(alpha)), steps)
-            yield alpha, steps, chained, math.log2(alpha), math.log2(finite_keys(alpha, 1))

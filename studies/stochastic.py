@@ -17,8 +17,8 @@ from protocol.arrays import Array, Flags, Indices
 from protocol.scenario import Scenario
 from protocol.schemes.reconciled import Reconciled
 from protocol.schemes.registry import make_scheme
-from protocol.statistics import Interval, normal_mean, share_over_runs
-from studies.registry import Lines, Row, study, table
+from protocol.statistics import normal_mean, share_over_runs
+from studies.registry import Lines, Row, interval_of, study, table
 from studies.signalling import changed
 from tap_service.inference.identification import identify
 from wyner.simulate.engine import Runs, simulate_runs
@@ -178,8 +178,7 @@ def shown(rows: Sequence[Row]) -> Lines:
     lines: list[tuple[str, ...]] = [head]
     for row in rows:
         before, after, corrected, kept = (
-            Interval(*(float(row[f"{what}{end}"]) for end in ("", "_low", "_high")))
-            for what in ("before", "after", "corrected", "left")
+            interval_of(row, what) for what in ("before", "after", "corrected", "left")
         )
         ends = ("", "", "", "")
         if row["eve"] == next(iter(EVES)):

@@ -1,1 +1,1 @@
-"""The study of the attacks: attack by defence by who has the key, and what a watermark costs."""
+"""The study of the attacks: attack by defence by who has the key."""

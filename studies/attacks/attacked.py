@@ -1,16 +1,22 @@
-"""Attacked runs, many at once: the attacker's own classes against the defences' own.
+"""Attacked runs, many at once: the attacker's own classes against what both ends do with a key.
 
 They stand between the ends of :func:`~wyner.simulate.engine.loop.simulate_runs`. A step is the
 services': the controller offers for what it was shown, the plant applies one candidate, its reading
 passes the attacker, the wire and the defences, and is tested. Steps are counted from the onset:
 step 1 is the first reading that she may change.
+
+The keyed coin and the residual test are what a live controller has. Two known ideas stand beside
+them: each measurement turned by a rotation of its own, and a tag on each. Who rewrites a message
+without its key passes the tag of 32 bits once in some 10^8 messages: here, never.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from attacker_service.base import (
     UNKNOWN,
@@ -21,9 +27,9 @@ from attacker_service.base import (
     SensorAttack,
 )
 from controller_service.laws.base import CandidateLaw
+from protocol.agreement import INSIDE
 from protocol.arrays import Array, Counts, Flags, Integers
 from protocol.scenario import Scenario
-from studies.attacks.defences import Defence, Residual, Wire, Words
 from wyner.simulate.engine.draws import disturbances
 from wyner.simulate.engine.loop import Between, simulate_runs
 
@@ -85,115 +91,128 @@ class Keys:
     believed: Integers | None = None
 
 
+KEY_BITS: Final[dict[str, Callable[[int], float]]] = {
+    "keyed-coin": math.log2,
+    "coding": lambda _: 32.0,
+    "mac": lambda _: 64.0,
+}
+"""The defences besides the residual test, and the bits of key that each takes in a step at M.
+
+``keyed-coin``: a digit names the candidate; an alarm where that does not explain the transition.
+``coding``: x(k) travels as S(k) x(k); two states. Who rewrites it must turn her correction e
+likewise. Turned by another matrix T it leaves e - S^T T e in what the controller reads, as long as
+2 sin(phi / 2) abs(e) for an angle phi between them. So a correction within D_c goes unseen, and so
+does any that is made before the plant's end turns the reading.
+``mac``: each message, offers too, has a tag; an alarm where a measurement was rewritten.
+"""
+
+
+class _Step(NamedTuple):
+    """The keys of a step, those that are in use: a digit, shape (R, 1), and a rotation S."""
+
+    digit: Integers | None
+    rotation: Array | None
+
+
+def rotations(words: NDArray[np.uint32]) -> Array:
+    """Rotations of the plane by 2 pi w / 2^32, shape (R,) to (R, 2, 2)."""
+    angle = 2 * math.pi * (words.astype(np.float64) + 0.5) / 2.0**32
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2)
+
+
+def turned(S: Array, x: Array) -> Array:
+    """S x, shapes (R, 2, 2) and (R, 2)."""
+    out: Array = (S @ x[..., None])[..., 0]
+    return out
+
+
+def back(S: Array) -> Array:
+    """The rotations the other way."""
+    return np.swapaxes(S, -1, -2)
+
+
 class _Ends:
     """Both ends' defences with their keys, and what she makes of these.
 
-    A defence's key of a step serves the measurement x(k), the offer that answers it, and the test
-    of what comes of that offer.
+    A key of a step serves the measurement x(k), the offer that answers it, and the test of what
+    comes of that offer.
     """
 
     def __init__(
         self,
-        defences: Sequence[Defence],
+        defences: Sequence[str],
+        candidates: int,
         keys: Keys,
         secret: np.random.Generator,
         hers: np.random.Generator,
     ) -> None:
-        self._chain, self._keys, self._secret, self._hers = defences, keys, secret, hers
+        self._defences, self._candidates = defences, candidates
+        self._keys, self._secret, self._hers = keys, secret, hers
         self.runs = len(keys.held)
-        self._runs = (self.runs,)
-        self._session = [d.session_key(secret, self._runs) for d in defences]
-        self._her_session = [
-            np.where(keys.held[:, None], true, d.session_key(hers, self._runs))
-            for d, true in zip(defences, self._session, strict=True)
-        ]
-        self._following = self._drawn(0)
+        self._following = self._shared(0)
         self._step = self._following
 
-    def _drawn(self, k: int) -> list[Integers]:
-        """Keys of step k."""
-        given, out = self._keys.digits, []
-        for d, session in zip(self._chain, self._session, strict=True):
-            step = d.step_key(self._secret, self._runs)
-            if given is not None and k < len(given) and d.coin(session, step) is not None:
-                step = given[k][:, None]
-            out.append(step)
-        return out
+    def _drawn(self, draw: np.random.Generator) -> _Step:
+        """Keys of a step, uniform."""
+        digit = rotation = None
+        for name in self._defences:
+            if name == "keyed-coin":
+                digit = draw.integers(self._candidates, size=(self.runs, 1))
+            elif name == "coding":
+                rotation = rotations(draw.integers(1 << 32, size=self.runs, dtype=np.uint32))
+        return _Step(digit, rotation)
+
+    def _shared(self, k: int) -> _Step:
+        """Keys of step k at both ends."""
+        step, given = self._drawn(self._secret), self._keys.digits
+        if given is None or k >= len(given):
+            return step
+        return step._replace(digit=given[k][:, None])
 
     def begin(self, k: int) -> None:
         """Step k begins; the keys of the next one are there too, for its measurement."""
-        self._step, self._following = self._following, self._drawn(k + 1)
+        self._step, self._following = self._following, self._shared(k + 1)
 
     def coin(self) -> Integers | None:
         """The candidate that a key says, or None."""
-        for d, session, step in zip(self._chain, self._session, self._step, strict=True):
-            coin = d.coin(session, step)
-            if coin is not None:
-                return coin
-        return None
+        return None if self._step.digit is None else self._step.digit[:, 0]
 
     def believed(self, k: int) -> Integers:
         """What she takes the coin of step k for."""
         coin = self.coin()
         if coin is None:
-            return np.full(self._runs, UNKNOWN)
+            return np.full(self.runs, UNKNOWN)
         if self._keys.believed is not None:
             return np.asarray(self._keys.believed[k])
         return np.where(self._keys.held, coin, UNKNOWN)
 
     def carry(self, k: int, x: Array, attack: BusAttack | None) -> tuple[Array, Flags]:
-        """x(k) over the wire: what is read, and where that alarms."""
-        wires = []
-        for i, d in enumerate(self._chain):
-            wires.append(d.encode(k, self._session[i], self._following[i], x))
-            x = wires[-1].values
-        tags = [wire.tag for wire in wires]
-        if attack is not None:
-            x, tags = self._rewritten(k, x, tags, attack)
-        alarm = np.zeros(self._runs, bool)
-        for i in reversed(range(len(self._chain))):
-            opened = self._chain[i].decode(
-                k, self._session[i], self._following[i], Wire(x, tags[i])
-            )
-            x, alarm = opened.x, alarm | opened.alarm
-        return x, alarm
+        """x(k) over the wire: what is read, and where that alarms.
 
-    def _rewritten(
-        self, k: int, sent: Array, tags: list[Words | None], attack: BusAttack
-    ) -> tuple[Array, list[Words | None]]:
-        """What she sends on: opened, changed and closed again under the keys that she has.
-
-        A tag is shifted by what the change does to it under her key, so that its pad stays: under a
-        guessed point that is the best forgery.
+        What an attack is shown, and what it says, she turns by the rotation that she has.
         """
-        held = self._keys.held[:, None]
-        steps = [
-            np.where(held, true, d.step_key(self._hers, self._runs))
-            for d, true in zip(self._chain, self._following, strict=True)
-        ]
-        opened = sent
-        under: list[Array] = []
-        for i in reversed(range(len(self._chain))):
-            wire = Wire(opened, tags[i])
-            opened = self._chain[i].decode(k, self._her_session[i], steps[i], wire).x
-            under.insert(0, opened)
-        x = attack.toward_controller(k, opened, np.ones(self._runs, bool))
-        out: list[Words | None] = []
-        for i, d in enumerate(self._chain):
-            wire, tag = d.encode(k, self._her_session[i], steps[i], x), tags[i]
-            if tag is not None and wire.tag is not None:
-                before = d.encode(k, self._her_session[i], steps[i], under[i]).tag
-                assert before is not None
-                tag = tag ^ before ^ wire.tag
-            out.append(tag)
-            x = wire.values
-        return x, out
+        S, alarm = self._following.rotation, np.zeros(self.runs, bool)
+        sent = x if S is None else turned(S, x)
+        if attack is not None:
+            T = self._drawn(self._hers).rotation
+            if S is not None and T is not None:
+                T = np.where(self._keys.held[:, None, None], S, T)
+            read = sent if T is None else turned(back(T), sent)
+            says = attack.toward_controller(k, read, np.ones(self.runs, bool))
+            if "mac" in self._defences:
+                alarm = ~self._keys.held & (says != read).any(axis=1)
+            sent = says if T is None else turned(T, says)
+        return (sent if S is None else turned(back(S), sent)), alarm
 
     def test(self, gauges: Array) -> Flags:
-        """Where the transition that the last offer led to alarms."""
-        alarm = np.zeros(self._runs, bool)
-        for d, session, step in zip(self._chain, self._session, self._step, strict=True):
-            alarm |= d.alarm(session, step, gauges)
+        """Where no candidate explains the transition that the last offer led to (equation 14).
+
+        With a digit, where its own does not; g <= 1 to rounding.
+        """
+        alarm: Flags = ~(gauges.min(-1) <= INSIDE)
+        if self._step.digit is not None:
+            alarm |= ~(np.take_along_axis(gauges, self._step.digit, -1)[..., 0] <= INSIDE)
         return alarm
 
 
@@ -310,7 +329,7 @@ def attack_runs(
     scenario: Scenario,
     law: CandidateLaw,
     kind: Kind | None,
-    defences: Sequence[Defence],
+    defences: Sequence[str],
     keys: Keys,
     *,
     seed: Sequence[int],
@@ -328,8 +347,8 @@ def attack_runs(
     law : CandidateLaw
     kind : callable or None
         Makes the attack; None: nobody attacks, and every step is honest.
-    defences : sequence of Defence
-        Besides the residual test, which is always on; one of them may key the coin.
+    defences : sequence of str
+        Of :data:`KEY_BITS`.
     keys : Keys
     seed : sequence of int
     steps : int
@@ -350,10 +369,10 @@ def attack_runs(
     SimulationError
         When what is shown leaves every set, or the plant is not linear.
     """
-    runs, size = len(keys.held), scenario.secrecy.candidates
+    runs = len(keys.held)
     public, secret, hers = (np.random.default_rng([*seed, part]) for part in range(3))
     attack = None if kind is None else kind(np.random.default_rng([*seed, 3]))
-    ends = _Ends((Residual(scenario.n, size), *defences), keys, secret, hers)
+    ends = _Ends(defences, scenario.secrecy.candidates, keys, secret, hers)
     between = _Attacked(scenario, attack, ends, onset, (watermark, secret), (eye, hers))
     private = not watermark and ends.coin() is None
     simulate_runs(

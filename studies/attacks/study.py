@@ -6,9 +6,11 @@ reads with the eavesdropper `nearest-centre`.
 """
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from statistics import NormalDist
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -20,9 +22,7 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
-from studies.attacks.attacked import ONSET, Attacked, Keys, attack_runs
-from studies.attacks.defences import DEFENCES
-from studies.attacks.watermark import gaussian_passes, packed
+from studies.attacks.attacked import KEY_BITS, ONSET, Attacked, Keys, attack_runs
 from studies.registry import study
 from studies.signalling import changed
 from tap_service import eavesdroppers
@@ -220,6 +220,22 @@ def theory(task: Task, scenario: Scenario) -> float | None:
     return None
 
 
+def packed(size: int) -> float:
+    """Variance of M points a sigma apart, in sigma^2; each is passed with probability 1/M.
+
+    Points so close may touch, so the project's alphabets stand a millionth farther apart.
+    """
+    return float(np.arange(size).var())
+
+
+def gaussian_passes(variance: float) -> float:
+    """How often a normal dither of this variance, in sigma^2, is passed.
+
+    Of its windows of length sigma the middle one holds the most, 2 Phi(sigma / 2 s) - 1.
+    """
+    return 2 * NormalDist().cdf(0.5 / math.sqrt(variance)) - 1
+
+
 def seen_through(noise: float, scenario: Scenario) -> float:
     """How often the nearest of M pushes B p_i is the true one, through white noise; one input.
 
@@ -252,7 +268,7 @@ def attacked(task: Task) -> tuple[Attacked, Keys]:
         scenario,
         law,
         maker(task.attack, scenario),
-        [DEFENCES[name](scenario.n, task.candidates) for name in task.defences],
+        task.defences,
         keys,
         seed=[SEED, number],
         steps=task.steps,
@@ -286,7 +302,7 @@ def measure(task: Task) -> Iterator[dict[str, object]]:
     found, keys = attacked(task)
     scenario, _ = loop_of(task.scenario, task.candidates, task.disturbance)
     passed = theory(task, scenario)
-    bits = sum(DEFENCES[name](scenario.n, task.candidates).key_bits for name in task.defences)
+    bits = sum(KEY_BITS[name](task.candidates) for name in task.defences)
     honest = task.runs * (task.onset - 1 + (task.steps if task.attack == "none" else 0))
     unseen = [] if task.attack == "none" else found.undetected().tolist()
     yield {

@@ -27,9 +27,7 @@ import numpy as np
 from protocol.arrays import Array
 
 FINE: Final = 64
-"""Points of the grid in a standard deviation of the channel's noise, one input."""
-COARSE: Final = 12
-"""The same on each axis of the plane, two inputs."""
+"""Points of the grid in a standard deviation of the channel's noise."""
 TAILS: Final = 9.0
 """Standard deviations beyond the outermost offsets that the grid reaches; 1e-18 lies beyond."""
 
@@ -38,9 +36,6 @@ CLOSE: Final = 1e-9
 
 ORDERS: Final = tuple(1 + 2.0 ** (-k / 4) for k in range(40, -1, -1))
 """Orders s of the Renyi entropy that are tried, from just above 1 to 2."""
-
-PLAIN: Final = 40.0
-"""From this distance of neighbouring offsets over the deviation on, nothing is left of a coin."""
 
 
 def largest_gain(F: Array, B: Array, C: Array) -> float:
@@ -91,25 +86,18 @@ def _crossings(F: Array, B: Array, C: Array, gain: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Coin:
-    """One coin seen once: p_b + N(0, deviation^2 I), b uniform over the offsets.
+    """One coin seen once: p_b + N(0, deviation^2), b uniform over the offsets; one input.
 
     Parameters
     ----------
-    offsets : array, shape (M, m)
-        Candidates less their common part; one or two inputs.
+    offsets : array, shape (M, 1)
+        Candidates less their common part.
     deviation : float
-        1 / g, in the unit of an input; 0 where she sees the coin itself.
+        1 / g, in the unit of an input.
     """
 
     offsets: Array
     deviation: float
-
-    @cached_property
-    def plain(self) -> bool:
-        """Whether she simply has it: what is left, below 1e-80 bits, is told as 0."""
-        apart = np.linalg.norm(self.offsets[:, None] - self.offsets[None], axis=2)
-        np.fill_diagonal(apart, np.inf)
-        return bool(apart.min() >= PLAIN * self.deviation)
 
     @property
     def size(self) -> int:
@@ -117,58 +105,36 @@ class Coin:
         return len(self.offsets)
 
     @cached_property
-    def _densities(self) -> tuple[Array, float]:
-        """P(b, y) on a grid of y, shape (M, points), and the volume of a grid point."""
+    def _densities(self) -> Array:
+        """P(b, y) on a grid of y, FINE points a deviation; shape (M, points)."""
         P = self.offsets / self.deviation
-        m = P.shape[1]
-        step = 1 / (FINE if m == 1 else COARSE)
-        axes = [
-            np.arange(math.floor((c.min() - TAILS) / step), math.ceil((c.max() + TAILS) / step) + 1)
-            * step
-            for c in P.T
-        ]
-        # a Gaussian of the plane is one of each axis, multiplied
-        along = [
-            np.exp(-0.5 * (axis[None] - column[:, None]) ** 2) / math.sqrt(2 * math.pi)
-            for axis, column in zip(axes, P.T, strict=True)
-        ]
-        joint = (
-            along[0] if m == 1 else (along[0][:, :, None] * along[1][:, None]).reshape(len(P), -1)
-        )
-        return joint / len(P), step**m
+        first = math.floor((P.min() - TAILS) * FINE)
+        last = math.ceil((P.max() + TAILS) * FINE)
+        y = np.arange(first, last + 1) / FINE
+        out: Array = np.exp(-0.5 * (y - P) ** 2) / math.sqrt(2 * math.pi) / len(P)
+        return out
 
     @cached_property
     def guess(self) -> float:
         """P_g: the probability that the best guess of the coin is right."""
-        if self.plain:
-            return 1.0
-        if self.offsets.shape[1] == 1:
-            from scipy.special import ndtr
+        from scipy.special import ndtr
 
-            sorted_ = np.sort(self.offsets[:, 0])
-            edges = np.concatenate([[-np.inf], 0.5 * (sorted_[1:] + sorted_[:-1]), [np.inf]])
-            low, high = ((e - sorted_) / self.deviation for e in (edges[:-1], edges[1:]))
-            return float((ndtr(high) - ndtr(low)).mean())
-        joint, cell = self._densities
-        return min(1.0, float(joint.max(axis=0).sum()) * cell)
+        sorted_ = np.sort(self.offsets[:, 0])
+        edges = np.concatenate([[-np.inf], 0.5 * (sorted_[1:] + sorted_[:-1]), [np.inf]])
+        low, high = ((e - sorted_) / self.deviation for e in (edges[:-1], edges[1:]))
+        return float((ndtr(high) - ndtr(low)).mean())
 
     @cached_property
     def bits(self) -> float:
         """H(B | Y), bits a coin that she does not have."""
-        if self.plain:
-            return 0.0
-        joint, cell = self._densities
-        total = joint.sum(axis=0)
+        joint = self._densities
         with np.errstate(divide="ignore", invalid="ignore"):
-            surprise = np.where(joint > 0, -joint * np.log2(joint / total), 0.0)
-        return max(0.0, float(surprise.sum()) * cell)
+            surprise = np.where(joint > 0, -joint * np.log2(joint / joint.sum(axis=0)), 0.0)
+        return max(0.0, float(surprise.sum()) / FINE)
 
     def renyi(self, order: float) -> float:
         """H_s(B | Y) of Arimoto: s / (1 - s) log2 of the integral of (sum_b P(b, y)^s)^(1/s)."""
-        if self.plain:
-            return 0.0
-        joint, cell = self._densities
-        norm = float(((joint**order).sum(axis=0) ** (1 / order)).sum()) * cell
+        norm = float(((self._densities**order).sum(axis=0) ** (1 / order)).sum()) / FINE
         return max(0.0, order / (1 - order) * math.log2(norm))
 
     def key_bits(self, coins: int, eps: float) -> int:
@@ -177,16 +143,7 @@ class Coin:
 
         It is within ``eps`` of uniform and apart from all that she has, in the sum of absolute
         differences: twice the statistical distance.
-
-        Raises
-        ------
-        ValueError
-            When ``coins`` is below 1 or ``eps`` not between 0 and 1.
         """
-        if coins < 1 or not 0 < eps < 1:
-            raise ValueError(
-                f"coins and eps: got {coins} and {eps:g}, expected 1 or more, and 0 to 1"
-            )
 
         def length(s: float) -> float:
             return coins * self.renyi(s) - s / (s - 1) * (math.log2(1 / eps) + 2 / s - 1)

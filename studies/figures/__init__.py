@@ -6,11 +6,11 @@ A figure's note states its runs, seeds and intervals, all read from the data.
 from pathlib import Path
 
 from studies import DATA, FIGURES_FOLDER
-from studies.figures import attacks, idea, keys, loop, network, noise, secrecy, signalling
+from studies.figures import attacks, idea, loop, network, noise, secrecy, signalling
 from studies.figures.rows import FIGURES, FigureError
 from wyner.drawing.style import drawing, save
 
-__all__ = ["FIGURES", "FigureError", "attacks", "draw", "idea", "keys", "loop", "network", "noise",
+__all__ = ["FIGURES", "FigureError", "attacks", "draw", "idea", "loop", "network", "noise",
            "secrecy", "signalling"]  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from protocol.statistics import Interval, wilson
 from studies.figures.rows import bars, figure, plain_rows
-from wyner.drawing.style import COLOURS
 
 SHOWN_STEPS = 12
 
@@ -47,32 +46,3 @@ def draw_undetected(figure: Figure, data: Path) -> str:
         f"The paper's plant, M = {size}, a ghost at the sensor. {runs} runs a line, seed {seed}; "
         "95 % Wilson intervals"
     )
-
-
-@figure("dither-price", "dither-price", size=(6.4, 3.8))
-def draw_dither(figure: Figure, data: Path) -> str:
-    """What a dither costs against how often one who does not know it passes."""
-    rows = plain_rows(data / "dither-price.csv")
-    axes = figure.subplots()
-    kinds = {"any, proved": ("-", ""), "packed": ("", "o"), "Gaussian": ("--", "^")}
-    for place, (kind, (line, marker)) in enumerate(kinds.items()):
-        mine = [r for r in rows if r["dither"] == kind]
-        axes.loglog(
-            [1 / r["M"] for r in mine],
-            [r["state_price"] for r in mine],
-            ls=line or "none",
-            marker=marker or None,
-            mfc="none",
-            color=COLOURS[place],
-            label={"any, proved": "no dither costs less"}.get(kind, kind),
-        )
-    sizes = sorted({r["M"] for r in rows})
-    axes.set_xticks([1 / m for m in sizes], [f"1/{m}" for m in sizes])
-    axes.minorticks_off()
-    axes.set_yticks(
-        [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], ["0.02", "0.05", "0.1", "0.2", "0.5", "1", "2"]
-    )
-    axes.set_xlabel("probability that a fabricator passes a step")
-    axes.set_ylabel("added to the mean of $x^\\top x$")
-    axes.legend()
-    return f"{rows[0]['scenario']}: u = K x + p, no constraint active; a closed form"

@@ -10,22 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from protocol.arrays import Array
-from protocol.statistics import Interval, normal_mean, wilson
 from studies.figures.rows import (
     FigureError,
     Rows,
-    band,
     bars,
-    columns,
     figure,
-    intervals,
     plain_rows,
     rate_in,
 )
-from studies.loops import BURN_IN
 from wyner.drawing.axes import draw_agreement
 from wyner.drawing.axes import draw_sets as draw_outlines
-from wyner.drawing.style import COLOURS, MARKERS
+from wyner.drawing.style import COLOURS
 from wyner.sweeps.grid import SweepError
 from wyner.sweeps.results import Summary, read_rows, summarise
 
@@ -80,7 +75,8 @@ def curve(
     if marked:
         bars(axes, alphas, rates, place, label=label, lw=0.8)
         return
-    band(axes, alphas, rates, place)
+    low, high = [r.low for r in rates], [r.high for r in rates]
+    axes.fill_between(alphas, low, high, color=COLOURS[place], alpha=0.2, lw=0)
     axes.plot(alphas, [r.value for r in rates], color=COLOURS[place], label=label, lw=1.4)
 
 
@@ -125,129 +121,6 @@ def draw_sustained(figure: Figure, data: Path) -> str:
     axes.set_ylim(0, half * 1.25)
     axes.legend(loc="upper left", ncols=2, fontsize=7)
     return note_of([*short, *long])
-
-
-@figure("disturbances", "disturbances", "taps", size=(9.0, 4.2))
-def draw_disturbances(figure: Figure, data: Path) -> str:
-    """Rate, wrongly decoded coins, and what the taps get, by kind of disturbance."""
-    points = summaries(data, "disturbances")
-    taps = {r["variant"]: r for r in plain_rows(data / "taps.csv")}
-    kinds = by(points, lambda s: str(s.first["variant"]))
-    left, middle, right = figure.subplots(1, 3, sharey=True)
-    y = list(range(len(kinds)))
-    for place, alpha in enumerate(sorted({alpha_of(s) for s in points})):
-        rates = [next(s.rate for s in group if alpha_of(s) == alpha) for group in kinds.values()]
-        _bars(left, y, rates, place, f"α = {alpha:g}")
-        wrong = []
-        for group in kinds.values():
-            s = next(s for s in group if alpha_of(s) == alpha)
-            wrong.append(_share(s.counts["mistaken"], s.counts["agreements"], s.runs))
-        _bars(middle, y, wrong, place, f"α = {alpha:g}")
-    nearest = [
-        _share(taps[k]["nearest_right"], taps[k]["agreements"], taps[k]["runs"]) for k in kinds
-    ]
-    _bars(right, y, nearest, 0, "key symbols, nearest-centre")
-    sent = [(i, taps[k]) for i, k in enumerate(kinds) if taps[k]["delivered"]]
-    read = [_share(r["read_by_list_decoder"], r["delivered"], r["runs"]) for _, r in sent]
-    _bars(right, [i for i, _ in sent], read, 1, "messages, list-decoder")
-    left.set_yticks(y, list(kinds))
-    left.invert_yaxis()
-    left.set_xlabel(rate_in("bit/s"))
-    middle.set_xlabel("keys other than the coin (%)")
-    right.set_xlabel("of it Eve has (%)")
-    right.set_xlim(-5, 108)
-    left.legend(fontsize=7)
-    right.legend(fontsize=7, loc="center left")
-    figure.suptitle("Other disturbances (law sustained)")
-    first = next(iter(taps.values()))
-    return note_of(points) + (
-        ".\nKeys and taps: 95 % Wilson intervals with runs as trials, since the steps of one "
-        f"depend; taps: {first['runs']} runs of {first['steps']} steps, "
-        f"α = {first['alpha']:g}, seed {first['seed']}; where no message is shown, none was "
-        "whole by then"
-    )
-
-
-def _share(right: int, of: int, runs: int) -> Interval:
-    """A share in per cent of sums over runs, with Wilson's interval for so many runs.
-
-    How runs differ is not in the data; at most they are all or nothing, and then a run is a trial.
-    """
-    return wilson(right / of * min(runs, of), min(runs, of)).scaled(100)
-
-
-def _bars(axes: Axes, y: Sequence[int], values: Sequence[Interval], place: int, label: str) -> None:
-    """Points with intervals, lying; each series a little lower than the one before."""
-    bars(axes, [v + 0.2 * (place - 1) for v in y], values, place, lying=True, lw=0.9, label=label)
-
-
-@figure("price", "price", size=(8.0, 3.8))
-def draw_price(figure: Figure, data: Path) -> str:
-    """State cost and input effort of each law."""
-    points = summaries(data, "price")
-    kinds = by(points, lambda s: str(s.first["variant"]))
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, name in ((left, "state_cost"), (right, "input_effort")):
-        for place, (kind, group) in enumerate(kinds.items()):
-            s = group[-1]
-            cost = normal_mean(s.sums[name], s.sums[f"{name}_squares"], s.runs)
-            for one in group:
-                rate = one.rate
-                axes.errorbar(
-                    cost.value,
-                    rate.value,
-                    xerr=[[cost.value - cost.low], [cost.high - cost.value]],
-                    yerr=[[rate.value - rate.low], [rate.high - rate.value]],
-                    fmt=MARKERS[place],
-                    color=COLOURS[place],
-                    mfc="none",
-                    lw=0.9,
-                    label=kind if one is s else None,
-                )
-                if rate.value > 0 and axes is left:
-                    axes.annotate(f" α = {alpha_of(one):g}", (cost.value, rate.value), fontsize=7)
-    left.set_xlabel(r"state cost, mean $|x(k+1)|^2$ a step")
-    right.set_xlabel(r"input effort, mean $|u(k)|^2$ a step")
-    left.set_ylabel(rate_in("bit/s"))
-    left.margins(x=0.15)
-    right.legend(fontsize=7)
-    figure.suptitle("The price of the channel, from the origin")
-    return note_of(points) + "; of costs: normal intervals"
-
-
-@figure("plants", "settled", "widths", size=(8.0, 3.8))
-def draw_plants(figure: Figure, data: Path) -> str:
-    """The channel of other plants, and how far apart their candidates are."""
-    settled = [row for row in plain_rows(data / "settled.csv") if row["group"] == "plant"]
-    widths = plain_rows(data / "widths.csv")
-    left, right = figure.subplots(1, 2)
-    for place, name in enumerate(dict.fromkeys(row["name"] for row in settled)):
-        colour = COLOURS[place]
-        for start, line in (("x(0)", "-"), ("origin", ":")):
-            group = [row for row in settled if (row["name"], row["start"]) == (name, start)]
-            alphas, bits = columns(group, "alpha", "bits")
-            band(left, alphas, intervals(group, "bits"), place)
-            left.plot(alphas, bits, line, color=colour, marker=MARKERS[place], mfc="none")
-        mine = [r for r in widths if r["scenario"] == name]
-        right.plot(*columns(mine, "distance", "quantile"), color=colour, label=name)
-    left.axhline(0.5, color="k", ls="--", lw=1)
-    left.set_ylim(0, 0.55)
-    left.set_xlabel(r"$\alpha$")
-    left.set_ylabel(rate_in("bit a step", "settled "))
-    right.set_xscale("symlog", linthresh=1)
-    right.set_xlabel("distance of the centres, in units of D_c")
-    right.set_ylabel("share of steps below")
-    right.axvline(2, color="k", ls=":", lw=1)
-    right.legend(fontsize=7, loc="lower right")
-    figure.suptitle("Other plants (law sustained)")
-    first, rate = widths[0], settled[0]
-    return (
-        f"{rate['runs']} runs of {rate['steps']} steps after {rate['burn_in']} a point, seed "
-        f"{rate['seed']}, from x(0) and (dotted) from the origin; bands: 95 % bootstrap intervals "
-        f"over runs.\nRight: {first['runs']} runs of {first['steps']} steps after {BURN_IN}, "
-        f"seed {first['seed']}; dashed: "
-        "the ceiling; dotted: from distance 2 on the defender always tells the candidates apart"
-    )
 
 
 @figure("sets", "sets", size=(9.0, 4.4))

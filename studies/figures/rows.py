@@ -66,11 +66,6 @@ def _number(text: str) -> Any:
     return text
 
 
-def columns(rows: Rows, *names: str) -> list[list[Any]]:
-    """Columns of rows."""
-    return [[row[name] for row in rows] for name in names]
-
-
 def intervals(rows: Rows, name: str) -> list[Interval]:
     """A column of rows with its limits, ``name_low`` and ``name_high``."""
     return [Interval(row[name], row[f"{name}_low"], row[f"{name}_high"]) for row in rows]
@@ -94,11 +89,3 @@ def bars(
     x, y = (middle, at) if lying else (at, middle)
     style = {"fmt": MARKERS[place], "color": COLOURS[place], "mfc": "none", "capsize": 2} | style
     axes.errorbar(x, y, xerr=reach if lying else None, yerr=None if lying else reach, **style)
-
-
-def band(
-    axes: Axes, at: Sequence[float], values: Sequence[Interval], place: int, alpha: float = 0.2
-) -> None:
-    """The intervals of a curve, filled."""
-    low, high = [v.low for v in values], [v.high for v in values]
-    axes.fill_between(at, low, high, color=COLOURS[place], alpha=alpha, lw=0)

@@ -1,19 +1,18 @@
 """The secrecy study: which eavesdropper is measured under which condition, a row a run."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from protocol.knowledge import Knowledge
-from protocol.messages import FieldMessage
+from studies.listeners import offline, put_together
 from studies.registry import study
 from studies.secrecy.runs import Run, simulate
-from tap_service.capture.channel import View, WiretapChannel
-from tap_service.capture.transcript import Transcript, Transition
+from tap_service.capture.channel import View
+from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Belief, Eavesdropper
-from tap_service.eavesdroppers.text import Text
 from wyner.runs.score.score import TapOutput, score
 
 RUNS: Final = 100
@@ -81,14 +80,6 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
             yield Task("learning", early, "learning", seed, steps=EARLY, view=view)
 
 
-def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
-    """The transitions that a tap with this view puts together of messages."""
-    channel, made = WiretapChannel(view), Transcript()
-    seen = [heard for message in messages for _, heard in channel.hear(0, message)]
-    seen += [heard for _, heard in channel.rest()]
-    return [t for message in seen for t in made.hear(message)] + made.flush()
-
-
 def heard_by(run: Run, view: View) -> list[Transition]:
     """The transitions that a tap with this view puts together."""
     return put_together(run.messages, view)
@@ -103,11 +94,6 @@ def knowledge_for(run: Run, kind: type[Eavesdropper], view: View) -> Knowledge:
         nothing = {"disturbance_H": None, "disturbance_h": None, "policy": None}
         return knowledge.model_copy(update=nothing)
     return knowledge
-
-
-def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
-    """An eavesdropper for a whole capture: `text` reads it once, at the end."""
-    return Text(knowledge, live=False) if kind is Text else kind(knowledge)
 
 
 def output_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOutput:

@@ -13,7 +13,7 @@ followed once :data:`CONFIRMED` such messages arrived while the session that is 
 further; until then it costs nothing. Messages that were never used are counted.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -105,14 +105,7 @@ class Transition:
 
 def steps_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Transition]]:
     """Transitions in runs within which none was missed altogether, and no session began."""
-    run: list[Transition] = []
-    for t in transitions:
-        if run and (t.start or t.gap or t.k != run[-1].k + 1):
-            yield run
-            run = []
-        run.append(t)
-    if run:
-        yield run
+    return _runs(transitions, lambda before, t: t.k != before.k + 1)
 
 
 def transitions_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Transition]]:
@@ -120,9 +113,16 @@ def transitions_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Tra
 
     A step that the plant made without an offer is no transition, and ends none of these.
     """
+    return _runs(transitions, lambda before, t: t.session != before.session)
+
+
+def _runs(
+    transitions: Sequence[Transition], ends: Callable[[Transition, Transition], bool]
+) -> Iterator[list[Transition]]:
+    """Transitions in runs, that end where a session begins, after a gap and as told."""
     run: list[Transition] = []
     for t in transitions:
-        if run and (t.start or t.gap or t.session != run[-1].session):
+        if run and (t.start or t.gap or ends(run[-1], t)):
             yield run
             run = []
         run.append(t)

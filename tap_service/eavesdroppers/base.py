@@ -10,7 +10,7 @@ from array import array
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict
 
@@ -28,6 +28,7 @@ from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 
 if TYPE_CHECKING:
     from tap_service.inference.opening import Opening
+    from tap_service.inference.output_model import OutputModel
 
 IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
@@ -182,14 +183,15 @@ class Eavesdropper(ABC):
     """Base of all eavesdroppers.
 
     A subclass sets ``name``, and ``heavy`` when one transition may cost her more than some
-    microseconds: she then works from the capture in a process of her own, on a bounded share of
-    a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
-    f_c nor D_e, unless the model she is told is wrong on purpose. One with ``hears_messages`` is
-    handed every message besides, right before the transitions that it finishes. One with
-    ``guesses = False`` goes for something else than the loop's own symbols: what she answers for a
-    transition is no guess, and she is not scored by it. One with ``reads_outputs = False`` wants
-    whole states, and cannot listen where a plant is read through some outputs alone. One with
-    ``corrects`` follows a scheme that corrects words, and guesses at the keys that come of them.
+    microseconds: she then works from the capture in a process beside the mirror, on a bounded share
+    of a core, with the other heavy ones, and the mirror never waits for her. One with ``told_model
+    = False`` is told neither f_c nor D_e, unless the model she is told is wrong on purpose. One
+    with ``hears_messages`` is handed every message besides, right before the transitions that it
+    finishes. One with ``guesses = False`` goes for something else than the loop's own symbols: what
+    she answers for a transition is no guess, and she is not scored by it. One with ``reads_outputs
+    = False`` wants whole states, and cannot listen where a plant is read through some outputs
+    alone. One with ``corrects`` follows a scheme that corrects words, and guesses at the keys that
+    come of them.
 
     Attributes
     ----------
@@ -295,7 +297,7 @@ class Model:
     """Whole states need no time to be known."""
 
     @classmethod
-    def of(cls, knowledge: Knowledge, needed_by: str) -> "Measuring":
+    def of(cls, knowledge: Knowledge, needed_by: str) -> "Model | OutputModel":
         """The model in ``knowledge``, for what is read of the plant.
 
         Raises
@@ -362,40 +364,6 @@ class Model:
         return [abs(at - place) for place in places[r]]
 
 
-class Measuring(Protocol):
-    """A model that measures every candidate, whatever is read of the plant."""
-
-    @property
-    def A(self) -> Matrix:
-        """Her A."""
-
-    @property
-    def B(self) -> Matrix:
-        """Her B."""
-
-    @property
-    def settled(self) -> bool:
-        """Whether she knows the state by now."""
-
-    def gauges(
-        self,
-        x: Sequence[float],
-        candidates: Sequence[Sequence[float]],
-        x_next: Sequence[float],
-        predictions: Sequence[Sequence[float]] = (),
-    ) -> list[float]:
-        """See :meth:`Model.gauges`."""
-
-    def along_the_widest(
-        self,
-        x: Sequence[float],
-        candidates: Sequence[Sequence[float]],
-        x_next: Sequence[float],
-        predictions: Sequence[Sequence[float]] = (),
-    ) -> list[float]:
-        """See :meth:`Model.along_the_widest`."""
-
-
 class Follower:
     """Follows the scheme on verdicts of her own, and collects the message symbols.
 
@@ -449,7 +417,7 @@ class Follower:
         if self.solved_k < 0:
             self.solved_k = k
 
-    def belief(self, model: "Measuring | None", confidence: float = 0.0) -> Belief:
+    def belief(self, model: "Model | OutputModel | None", confidence: float = 0.0) -> Belief:
         """What this way of following gives: certain once a frame check held."""
         partial = self._deframer.partial
         return Belief(
@@ -507,15 +475,14 @@ class Following(Eavesdropper):
         return self.follower.message_symbols()
 
 
-def opening_of(model: Measuring, size: int, *, certain: bool) -> "Opening | None":
+def opening_of(model: "Model | OutputModel", size: int, *, certain: bool) -> "Opening | None":
     """What holds a session's first transitions; None where states are read, or none agrees for
     sure."""
     if not certain or isinstance(model, Model):
         return None
     from tap_service.inference.opening import Opening
-    from tap_service.inference.output_model import OutputModel
 
-    return Opening(model, size) if isinstance(model, OutputModel) else None
+    return Opening(model, size)
 
 
 def nearest(gauges: list[float]) -> tuple[float, ...]:

@@ -20,12 +20,12 @@ from tap_service.eavesdroppers.base import (
     Belief,
     Eavesdropper,
     Guess,
-    Measuring,
     MessageSymbols,
+    Model,
     even,
     nearest,
 )
-from tap_service.inference.expectation import Expectation, expected
+from tap_service.inference.expectation import expected
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
@@ -52,8 +52,6 @@ class Reading(Eavesdropper):
     Parameters
     ----------
     knowledge : Knowledge
-    language : Expectation, optional
-        What she expects of a message; by default :func:`~.expectation.expected`.
     live : bool
         Whether she reads as she listens, or when she is asked alone.
     beam : int
@@ -79,17 +77,15 @@ class Reading(Eavesdropper):
     def __init__(
         self,
         knowledge: Knowledge,
-        language: Expectation | None = None,
         *,
         live: bool = True,
         beam: int = BEAM,
     ) -> None:
         super().__init__(knowledge)
         self.even = even(self.size)
-        self.model: Measuring | None = None
+        self.model: Model | OutputModel | None = None
         """The newest."""
-        self._language, self._beam = language, beam
-        self._live = live
+        self._beam, self._live = beam, live
         # where outputs are read every step agrees but for a session's first
         self._sure = self.certain and knowledge.C is None
         self.kept: list[Transition] = []
@@ -128,13 +124,12 @@ class Reading(Eavesdropper):
     @cached_property
     def _reader(self) -> MessageReader:
         """Made when she first searches: it takes a model of a text."""
-        language = self._language or expected()
-        return MessageReader(self.scheme, language, certain=self._sure, beam=self._beam)
+        return MessageReader(self.scheme, expected(), certain=self._sure, beam=self._beam)
 
     @cached_property
     def _lists(self) -> ListDecoding:
         """Asks what a text is like where several are possible alone."""
-        return ListDecoding(self.scheme, lambda: self._language or expected(), certain=self.certain)
+        return ListDecoding(self.scheme, expected, certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Take the nearest candidate where the step was heard; what was lost must wait."""

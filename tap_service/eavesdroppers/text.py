@@ -16,7 +16,6 @@ from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
 from tap_service.eavesdroppers.reading import Reading
-from tap_service.inference.expectation import Expectation
 from tap_service.inference.front import Inference
 from tap_service.inference.inferred import Inferred
 from tap_service.inference.message_search import BEAM
@@ -35,12 +34,11 @@ class Text(Reading):
     def __init__(
         self,
         knowledge: Knowledge,
-        language: Expectation | None = None,
         *,
         live: bool = True,
         beam: int = BEAM,
     ) -> None:
-        super().__init__(knowledge, language, live=live, beam=beam)
+        super().__init__(knowledge, live=live, beam=beam)
         self.model = self._told = Model.of(knowledge, self.name)
         self._inference = Inference(knowledge)
 

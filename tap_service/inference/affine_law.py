@@ -4,15 +4,14 @@ By the policy's costs where no constraint is active, or by the offers whose stat
 these say something else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array
+from protocol.arrays import Array, Flags, Indices
 from tap_service.capture.transcript import Transition
-from tap_service.inference.law import Form, Item
 from tap_service.inference.policy import KnownLaw
 
 ENOUGH: Final = 16
@@ -41,6 +40,46 @@ MOSTLY: Final = 0.75
 
 LEAST: Final = 1e-7
 """Error of a law that is exact, over the spread of the offers."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A part of an offer, and the ways in which it may have come about: C x = y in each.
+
+    Parameters
+    ----------
+    C : array, shape (ways, r, n)
+    y : array, shape (ways, r)
+    variance : float
+        Of each reading.
+    holds : callable, optional
+        Whether the law answers so: of states of shape (N, places, n), a way for each N, the flags.
+    """
+
+    C: Array
+    y: Array
+    variance: float
+    holds: Callable[[Array, Indices], Flags] | None = None
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is offered about states: u_i = G_i x + g_i, but for an error.
+
+    Parameters
+    ----------
+    weight : float
+        Log probability that it is.
+    G : array, shape (N or 1, M, m, n)
+    g : array, shape (N or 1, M, m)
+    error : float
+        Standard deviation.
+    """
+
+    weight: float
+    G: Array
+    g: Array
+    error: float
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ import numpy as np
 
 from protocol.arrays import Array, Flags, Indices, Integers
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.affine_law import ANYTHING
+from tap_service.inference.affine_law import ANYTHING, AffineLaw, Item
 from tap_service.inference.bounded import BoundedRows
 from tap_service.inference.fitted_shape import Shape, residuals_of
 from tap_service.inference.inferred import InferredStep
-from tap_service.inference.law import Item, Law
+from tap_service.inference.planar_law import PlanarLaw
 
 PARTS: Final = 192
 """Gaussians kept from step to step."""
@@ -165,7 +165,7 @@ class BeamSmoother:
         In which candidates are measured.
     noise : float
         Standard deviation of what she reads.
-    law : Law, optional
+    law : AffineLaw or PlanarLaw, optional
     samples : int
         Trajectories drawn.
 
@@ -184,7 +184,7 @@ class BeamSmoother:
         told: Array,
         shape: Shape,
         noise: float,
-        law: Law | None,
+        law: AffineLaw | PlanarLaw | None,
         samples: int,
     ) -> None:
         self._A, self._B, self._shape, self._noise = A, B, shape, noise

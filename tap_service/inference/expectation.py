@@ -274,11 +274,6 @@ LETTERS: Final = "abcdefghijklmnopqrstuvwxyz"
 PRINTABLE: Final = "".join(map(chr, range(FIRST, LAST + 1)))
 
 
-def any_bytes() -> Expectation:
-    """Of one who expects nothing: every byte is as likely."""
-    return Expectation.of([Kind(ANY, 1.0, lambda at: np.full((len(at.last), 256), 1 / 256))])
-
-
 @cache
 def expected() -> Expectation:
     """The mixture that Eve expects."""

@@ -2,9 +2,9 @@
 
 Where no offer was heard: by the readings (:mod:`tap_service.inference.unheard_offers`). A planar
 plant with one input whose law bends nearly everywhere: by exact proposals
-(:mod:`tap_service.inference.line_smoother`), with the law as the policy gives it or as it is
-learned. All else: by Kalman filters (:mod:`tap_service.inference.beam_smoother`), who also find the
-width of D_c where no state was heard beside an offer.
+(:mod:`tap_service.inference.line_smoother`) and the law as the policy gives it. All else: by Kalman
+filters (:mod:`tap_service.inference.beam_smoother`), who also find the width of D_c where no state
+was heard beside an offer.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from tap_service.inference.fitted_shape import (
 )
 from tap_service.inference.inferred import Inferred, thresholds_above
 from tap_service.inference.line_smoother import LineSmoother
-from tap_service.inference.planar_law import PlanarLaw, learned_law, matching
+from tap_service.inference.planar_law import PlanarLaw, matching
 from tap_service.inference.policy import KnownLaw
 from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
 
@@ -150,27 +150,25 @@ class Inference:
     def _fitted(
         self, law: PlanarLaw, kept: Sequence[Transition], runs: Sequence[list[Transition]]
     ) -> PlanarLaw | None:
-        """The law of the right width, or a learned one; None where none explains the offers."""
+        """The law of the right width; None where it does not explain the offers."""
         offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
         law = matching(law, offers)
         pairs = [t for t in kept if t.x is not None and t.candidates is not None]
         if len(pairs) < ENOUGH:
-            if law.known and not law.gap and not self._noise:
+            if not law.gap and not self._noise:
                 law = self._by_evidence(law, max(runs, key=len))
-            return law if law.known and (law.gap or law.doubt) else None
+            return law if law.gap or law.doubt else None
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
+        if self._noise and law.gap:
+            return None
         if self._noise:
-            law = law if law.gap else law.likeliest(x, u, self._noise)
+            law = law.likeliest(x, u, self._noise)
             near = law.explains(x, u) <= BLURRED * law.blur(x, self._noise)
-            return law if law.known and near.mean() >= MOST_ACTIVE_SHARE else None
-        room = EXPLAINED * max(float(u.std()), 1e-9)
-        law = law if law.gap else law.fitted(x, u)
-        tried = [law] if law.known else []
-        if not tried or (law.explains(x, u) <= room).mean() < 0.95:
-            tried.append(learned_law(law, x, u))
-        shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
-        return None if max(shares) < MOST_ACTIVE_SHARE else tried[int(np.argmax(shares))]
+        else:
+            law = law if law.gap else law.fitted(x, u)
+            near = law.explains(x, u) <= EXPLAINED * max(float(u.std()), 1e-9)
+        return law if near.mean() >= MOST_ACTIVE_SHARE else None
 
     def _by_evidence(self, law: PlanarLaw, run: Sequence[Transition]) -> PlanarLaw:
         """The law of the width that makes offers likeliest, where no state was heard with one."""
@@ -219,8 +217,8 @@ class Inference:
         steps = [step for run in runs for step in line.infer(run)]
         if self._certain:
             return Inferred(steps, (0.0, 1.0))
-        exact = law.scaled and law.known and not self._noise and not law.doubt
-        if law.scaled and law.known and not self._other_set and self._shape.told is None:
+        if not self._other_set and self._shape.told is None:
+            exact = not self._noise and not law.doubt
             room = 1.0005 if exact else (ROUGHLY if law.doubt else 1.06)
             return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
         return Inferred(steps, thresholds_above(float(support.max())))

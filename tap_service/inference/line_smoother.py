@@ -105,7 +105,7 @@ class LineSmoother:
 
     def _inputs(self, x: Array, t: Transition) -> Array:
         """What was offered in states ``x``, shape (N, M): as heard, or by the law."""
-        if t.candidates is not None and not (self._noise and self._law.known):
+        if t.candidates is not None and not self._noise:
             return np.tile(np.array(t.candidates)[:, 0], (len(x), 1))
         return self._law.offers(x)
 

@@ -1,8 +1,7 @@
 """The law of a planar plant with one input, to the last digit: free parts, and what clips them.
 
 Every program answers u = clip(F x, low(x), high(x)), where the bounds are the facets of the set
-that the next state must be in. They are computed from the policy (:meth:`PlanarLaw.of`), up to the
-width of D_c; or they are learned from offers whose state was heard (:func:`learned_law`).
+that the next state must be in. They are computed from the policy, up to the width of D_c.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,16 +12,11 @@ import numpy as np
 
 from protocol.arrays import Array, Flags, Indices
 from protocol.knowledge import Knowledge
-from tap_service.inference.affine_law import ANYTHING, ASTRAY
-from tap_service.inference.law import Form, Item
-from tap_service.inference.law_pieces import affine_pieces
+from tap_service.inference.affine_law import ANYTHING, ASTRAY, Form, Item
 from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 
 CLIPPED: Final = 1e-7
 """Over the spread of the inputs: beyond this from its free part an input was clipped."""
-
-ENOUGH: Final = 12
-"""Pairs of a state and its offer from which facets are learned."""
 
 MOST_PAIRS: Final = 500
 """Blurred pairs by which a width is looked for."""
@@ -57,8 +51,6 @@ class PlanarLaw:
         D_c over D_e.
     size : int
         M.
-    scaled : bool
-        Whether facets scale with D_c, so that they say how wide it is.
     spread : float
         Standard deviation of the answers.
     doubt : float
@@ -71,16 +63,17 @@ class PlanarLaw:
     gap: float
     size: int
     width: float = 1.0
-    scaled: bool = True
     spread: float = 1.0
     doubt: float = 0.0
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> "PlanarLaw | None":
-        """The law that the policy gives, or None where it does not say enough."""
+        """The law that the policy gives, or None where it does not tell its facets."""
         k, known = knowledge, KnownLaw.of(knowledge)
-        if known is None or k.policy is None or known.together is not None:
+        if known is None or k.policy is None:
             return None
+        if k.policy.together and k.policy.gain is not None:
+            return None  # the candidates coincide in T_0
         if k.disturbance_H is None or k.disturbance_h is None or known.free.shape[1:] != (1, 2):
             return None
         A, B = np.array(k.A), np.array(k.B)
@@ -100,13 +93,7 @@ class PlanarLaw:
             h = (V @ H.T).max(axis=0)
         K = _gain(k, A, B)
         facets = None if K is None else terminal_facets(A, B, K, V, H, h)
-        high, low = facets or (np.empty((0, 3)),) * 2
-        return cls(known.free[:, 0], high, low, gap, k.candidates)
-
-    @property
-    def known(self) -> bool:
-        """Whether there are facets."""
-        return bool(len(self.high) and len(self.low))
+        return None if facets is None else cls(known.free[:, 0], *facets, gap, k.candidates)
 
     @property
     def programs(self) -> int:
@@ -119,12 +106,8 @@ class PlanarLaw:
 
     def answers(self, x: Array) -> Array:
         """The programs' answers in states ``x``, shape (S, 2); returns shape (S, V)."""
-        u: Array = x @ self.free.T
-        if len(self.high):
-            u = np.asarray(np.minimum(u, self._most(x)[:, None]))
-        if len(self.low):
-            u = np.asarray(np.maximum(u, self._least(x)[:, None]))
-        return u
+        u: Array = np.minimum(x @ self.free.T, self._most(x)[:, None])
+        return np.asarray(np.maximum(u, self._least(x)[:, None]))
 
     def _most(self, x: Array) -> Array:
         """The largest input that the facets leave in states ``x``, shape (S,)."""
@@ -138,8 +121,6 @@ class PlanarLaw:
 
     def holds(self, x: Array) -> Flags:
         """Whether the facets leave an input in states ``x``, shape (S, 2)."""
-        if not self.known:
-            return np.ones(len(x), dtype=bool)
         out: Flags = self._least(x) <= self._most(x) + CLIPPED
         return out
 
@@ -218,14 +199,7 @@ class PlanarLaw:
 
     def forms(self, x: Array) -> list[Form]:
         """What an offer about states ``x``, shape (N, n), is: by the pieces there, or anything."""
-        slopes = np.repeat(self.free[None], len(x), axis=0)
-        u = x @ self.free.T
-        for facets, side in ((self.high, 1), (self.low, -1)):
-            if len(facets):
-                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
-                at = limits.argmin(axis=1)
-                clipped = side * u > limits.min(axis=1)[:, None]
-                slopes = np.where(clipped[:, :, None], facets[at, None, :2], slopes)
+        slopes = self._slopes(x)
         g = self.answers(x) - np.einsum("svn,sn->sv", slopes, x)
         if self.gap:
             slopes, g = np.repeat(slopes, self.size, axis=1), g + self.offsets()
@@ -234,6 +208,17 @@ class PlanarLaw:
             Form(float(np.log(1 - ASTRAY)), G, g, self.error),
             Form(float(np.log(ASTRAY)), G, g, ANYTHING * self.spread),
         ]
+
+    def _slopes(self, x: Array) -> Array:
+        """Those of the pieces that answer in states ``x``, shape (S, V, 2)."""
+        slopes = np.repeat(self.free[None], len(x), axis=0)
+        u = x @ self.free.T
+        for facets, side in ((self.high, 1), (self.low, -1)):
+            limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
+            at = limits.argmin(axis=1)
+            clipped = side * u > limits.min(axis=1)[:, None]
+            slopes = np.where(clipped[:, :, None], facets[at, None, :2], slopes)
+        return slopes
 
     def lines(self, program: int) -> Array:
         """Pieces of a program: u = slope x + offset, shape (P, 3); the free one first."""
@@ -252,21 +237,12 @@ class PlanarLaw:
 
         The standard deviation of the steepest piece that answers there, and of reading the answer.
         """
-        slopes = np.repeat(np.linalg.norm(self.free, axis=1)[None], len(x), axis=0)
-        u = x @ self.free.T
-        for facets, side in ((self.high, 1), (self.low, -1)):
-            if len(facets):
-                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
-                steep = np.linalg.norm(facets[limits.argmin(axis=1), :2], axis=1)
-                clips = side * u > limits.min(axis=1)[:, None]
-                slopes = np.where(clips, steep[:, None], slopes)
-        out: Array = noise * np.sqrt(1 + slopes.max(axis=1) ** 2)
+        steep = np.linalg.norm(self._slopes(x), axis=2)
+        out: Array = noise * np.sqrt(1 + steep.max(axis=1) ** 2)
         return out
 
     def fitted(self, x: Array, u: Array) -> "PlanarLaw":
         """The width under which the law explains answers ``u`` in states ``x`` best."""
-        if not self.scaled or not self.known:
-            return self
 
         def off(width: float) -> float:
             return float(np.median(self.of_width(width).explains(x, u)))
@@ -288,8 +264,6 @@ class PlanarLaw:
         several blurred facets lies too low. So states are drawn about each that was heard, and the
         likelihood of its answers averaged over them.
         """
-        if not self.scaled or not self.known:
-            return self
         x, u = x[:MOST_PAIRS], u[:MOST_PAIRS]
         rng = np.random.default_rng(0)
         at = (x[:, None] + noise * rng.standard_normal((len(x), STATES, 2))).reshape(-1, 2)
@@ -310,36 +284,6 @@ class PlanarLaw:
             width = max(sorted(widths), key=likelihood)
             ratio = ratio ** (1 / 4)
         return self.of_width(width)
-
-
-def learned_law(law: PlanarLaw, x: Array, u: Array) -> PlanarLaw:
-    """The law with facets learned from exact pairs, those below mirrored to those above.
-
-    Parameters
-    ----------
-    law : PlanarLaw
-        Whose free parts and offsets are known.
-    x : array, shape (N, 2)
-    u : array, shape (N, V)
-        The programs' answers.
-    """
-    spread = max(float(u.std()), 1e-9)
-    points, values = [], []
-    for free, answers in zip(law.free, u.T, strict=True):
-        above = answers - x @ free
-        for side in (-1, 1):  # clipped from above, and from below
-            clipped = side * above > CLIPPED * spread
-            points.append(-side * x[clipped])
-            values.append(-side * answers[clipped])
-    p, v = np.concatenate(points), np.concatenate(values)
-    empty = np.empty((0, 3))
-    if len(p) < ENOUGH:
-        return replace(law, high=empty, low=empty, scaled=False)
-    high = affine_pieces(p, v) / np.array(
-        [1.0, 1.0, law.width]
-    )  # the candidates' distance keeps its scale
-    low = high * np.array([1.0, 1.0, -1.0])
-    return replace(law, high=high, low=low, scaled=False)
 
 
 def _gain(k: Knowledge, A: Array, B: Array) -> Array | None:

@@ -28,24 +28,6 @@ PARALLEL: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Facets:
-    """What bounds a single input: u <= (or >=) slopes x + scale offsets, by facet.
-
-    Parameters
-    ----------
-    slopes : array, shape (J, n)
-    offsets : array, shape (J,)
-        For D_c as large as D_e; they scale with D_c.
-    side : int
-        1 where they bound from above, -1 from below.
-    """
-
-    slopes: Array
-    offsets: Array
-    side: int
-
-
-@dataclass(frozen=True)
 class KnownLaw:
     """The law, as far as the policy says it.
 
@@ -53,18 +35,12 @@ class KnownLaw:
     ----------
     free : array, shape (M, m, n)
         F_i: the candidates where no constraint is active.
-    together : array, shape (m, n), optional
-        K, where the law's candidates coincide in T_0.
-    facets : tuple of Facets
-        From below and from above; empty where they cannot be told.
     shared : bool
         Whether one cost makes v and the candidates stand about it at fixed offsets, which the first
         offer shows; ``free`` is then that cost's alone.
     """
 
     free: Array
-    together: Array | None
-    facets: tuple[Facets, ...]
     shared: bool = False
 
     @classmethod
@@ -84,42 +60,7 @@ class KnownLaw:
             if not np.linalg.cond(P) < 1e12:
                 return None
             free.append(-np.linalg.solve(P, weighted @ A))
-        gain = None if k.policy.gain is None else np.array(k.policy.gain)
-        together = None
-        facets: tuple[Facets, ...] = ()
-        if gain is not None and k.policy.together:
-            together = gain
-        elif (
-            not shared
-            and gain is not None
-            and B.shape == (2, 1)
-            and k.disturbance_H
-            and k.disturbance_h
-        ):
-            H, h = np.array(k.disturbance_H), np.array(k.disturbance_h)
-            V = corners_of(H, h)
-            found = terminal_facets(A, B, gain, V, H, h) if len(V) > 2 else None
-            if found is not None:
-                above, below = (np.split(bounds, [2], axis=1) for bounds in found)
-                facets = (
-                    Facets(below[0], below[1][:, 0], -1),
-                    Facets(above[0], above[1][:, 0], 1),
-                )
-        return cls(np.array(free), together, facets, shared)
-
-    def offers(self, x: Array, width: float) -> Array:
-        """The candidates in states ``x``, shape (S, n), where D_c is ``width`` times D_e.
-
-        Shape (S, M, m). Constraints count as far as their facets are known.
-        """
-        u: Array = np.einsum("imn,sn->sim", self.free, x)
-        for f in self.facets:
-            limits = x @ f.slopes.T + width * f.offsets
-            if f.side == 1:
-                u = np.minimum(u, limits.min(axis=1)[:, None, None])
-            else:
-                u = np.maximum(u, limits.max(axis=1)[:, None, None])
-        return u
+        return cls(np.array(free), shared)
 
 
 def terminal_facets(

@@ -315,13 +315,12 @@ def infer_from_readings(
         if law.shared:
             edge = 1 / np.abs(shape).max(axis=0)
             moves = Moves(A, B, edge, x, after, noise)
-            bounded = planar is not None and planar.known and planar.gap > 0
-            clipped = _clipped(planar, x) if planar is not None and bounded else None
+            clipped = _clipped(planar, x) if planar is not None and planar.gap else None
             units = list(unit_offsets(B, edge, size))
             fit = moves.likeliest(x @ law.free[0].T, units, clipped)
             drawn = [] if fit is None else [_draws(row) for row in moves.bent(fit)]
         else:
-            gauges, among = _by_costs(after - x @ A.T, B, shape, law, x)
+            gauges, among = _by_costs(after - x @ A.T, B, shape, law, x, planar)
             drawn = [row[None] for row in gauges]
         for i, draws in zip(at, drawn, strict=False):
             samples[i] = draws
@@ -342,19 +341,21 @@ def _draws(share: Array) -> Array:
 
 
 def _by_costs(
-    moved: Array, B: Array, shape: Array, law: KnownLaw, x: Array
+    moved: Array, B: Array, shape: Array, law: KnownLaw, x: Array, planar: PlanarLaw | None
 ) -> tuple[Array, tuple[float, float]]:
     """Gauges of the candidates that the policy's costs ask for, shape (K, M), and thresholds."""
+    free: Array = np.einsum("imn,sn->sim", law.free, x)
 
     def gauges(width: float) -> Array:
-        residual = moved[:, None] - law.offers(x, width) @ B.T
+        offers = free if planar is None else planar.of_width(width).offers(x)[:, :, None]
+        residual = moved[:, None] - offers @ B.T
         out: Array = np.maximum((residual @ shape.T).max(axis=2), 0.0)
         return out
 
     def left(width: float) -> float:
         return float(np.quantile(gauges(width).min(axis=1), BULK))
 
-    if law.facets:
+    if planar is not None:
         width = min(WIDTHS, key=left)
         return gauges(width), (width / NEARLY, min(width * NEARLY, 1.0))
     return gauges(1.0), thresholds_above(left(1.0))

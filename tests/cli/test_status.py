@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("status") / "run"
-    options = ("--scenario", "packed", "--pace", "fast", "--steps", "60", "--headless")
+    options = ("--scenario", "packed", "--pace", "fast", "--steps", "60")
     assert main(["up", *options, "--run-dir", str(folder)]) == 0
     return folder
 

@@ -82,7 +82,7 @@ def test_a_new_session_voids_what_was_known_by_step() -> None:
 def test_a_true_state_is_that_after_the_step_that_led_to_it() -> None:
     state = with_plant(state_after(100), tail_k=(99,), tail_true_x=((9.0, -9.0),))
     assert state.true_states == {100: (9.0, -9.0)}
-    assert state.away == 9.0
+    assert state.away == max(abs(9.0 - state.states[100][0]), abs(9.0 + state.states[100][1]))
 
 
 def test_the_board_stays_bounded() -> None:

@@ -164,7 +164,6 @@ def test_a_browser_shows_it_whole(run_dir: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [
             BROWSER,
-            "--headless",
             "--no-sandbox",
             "--disable-gpu",
             "--disable-dev-shm-usage",

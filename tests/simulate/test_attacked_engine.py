@@ -12,12 +12,6 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
 from studies.attacks.attacked import Attacked, Keys, Kind, attack_runs
-from studies.attacks.defences import (
-    Coding,
-    Defence,
-    KeyedCoin,
-    Mac,
-)
 from studies.signalling import changed
 from tests.support.size import size
 from wyner.simulate.engine.loop import SimulationError
@@ -25,6 +19,7 @@ from wyner.simulate.engine.loop import SimulationError
 pytestmark = pytest.mark.slow
 
 RARE = 1e-6
+COIN, CODING, MAC = "keyed-coin", "coding", "mac"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +39,7 @@ def making(scenario: Scenario, name: str, **options: Any) -> Kind:
 def run(
     loop: tuple[Scenario, CandidateLaw],
     kind: Kind | None,
-    *defences: Defence,
+    *defences: str,
     held: bool = False,
     runs: int = 2000,
     steps: int = 20,
@@ -65,7 +60,7 @@ def holds(count: int, runs: int, share: float) -> bool:
 @pytest.mark.parametrize("size", [2, 3, 4])
 def test_a_fabricator_passes_one_step_in_m(size: int) -> None:
     loop = of(changed("packed", secrecy={"candidates": size}))
-    found = run(loop, making(loop[0], "ghost"), KeyedCoin(2, size), runs=8000, steps=8)
+    found = run(loop, making(loop[0], "ghost"), COIN, runs=8000, steps=8)
     for n, left in enumerate(found.undetected().tolist()):
         assert holds(left, 8000, float(size) ** -n), (size, n)
     assert found.false_alarms == 0
@@ -79,9 +74,9 @@ def test_an_honest_loop_never_alarms_at_the_corners_of_d_c() -> None:
         found = run(
             loop,
             None,
-            KeyedCoin(2, 4),
-            Coding(2, 4),
-            Mac(2, 4),
+            COIN,
+            CODING,
+            MAC,
             runs=size(200, 1000),
             steps=size(80, 400),
         )
@@ -93,16 +88,16 @@ def test_an_honest_loop_never_alarms_at_the_corners_of_d_c() -> None:
 
 def test_who_has_the_key_is_never_seen(packed: tuple[Scenario, CandidateLaw]) -> None:
     ghost = making(packed[0], "ghost")
-    assert (run(packed, ghost, KeyedCoin(2, 4), held=True, steps=40).alarmed == 0).all()
+    assert (run(packed, ghost, COIN, held=True, steps=40).alarmed == 0).all()
     assert (run(packed, ghost, steps=40).alarmed == 0).all()  # a private coin
-    for defence in (Coding(2, 4), Mac(2, 4)):  # spoofed before the plant's end
+    for defence in (CODING, MAC):  # spoofed before the plant's end
         assert (run(packed, ghost, defence, steps=40).alarmed == 0).all()
 
 
 def test_the_limit_is_never_seen(packed: tuple[Scenario, CandidateLaw]) -> None:
     """She sees the true state exactly, and says that D_c did another thing: no seed helps."""
     bias = making(packed[0], "bias", push=1.0)
-    found = run(packed, bias, KeyedCoin(2, 4), Coding(2, 4), Mac(2, 4), runs=500, steps=100)
+    found = run(packed, bias, COIN, CODING, MAC, runs=500, steps=100)
     assert (found.alarmed == 0).all()
     assert found.away.mean() > 28
     assert found.shown.max() < 3
@@ -119,13 +114,13 @@ def test_covert_is_caught_by_a_fresh_secret_matrix_and_by_a_tag(
     assert (free.alarmed == 0).all()
     assert free.away.min() > 10
     # A residual of e alone is as if nothing were done: with the model it is undone exactly.
-    for defence in (KeyedCoin(2, 4), Coding(2, 4), Mac(2, 4)):
+    for defence in (COIN, CODING, MAC):
         assert (run(packed, covert, defence, held=True).alarmed == 0).all()
-    assert (run(packed, covert, KeyedCoin(2, 4)).alarmed == 0).all()
-    coded = run(packed, covert, Coding(2, 4), KeyedCoin(2, 4))
+    assert (run(packed, covert, COIN).alarmed == 0).all()
+    coded = run(packed, covert, CODING, COIN)
     assert coded.undetected()[1] == 2000  # x(onset) is as it was
     assert holds(int(coded.undetected()[2]), 2000, 0.287)
-    assert (run(packed, covert, Mac(2, 4)).alarmed == 2).all()
+    assert (run(packed, covert, MAC).alarmed == 2).all()
 
 
 # --- the loop itself ------------------------------------------------------------------------------
@@ -133,7 +128,7 @@ def test_covert_is_caught_by_a_fresh_secret_matrix_and_by_a_tag(
 
 def test_the_same_seed_gives_the_same_runs(packed: tuple[Scenario, CandidateLaw]) -> None:
     ghost = making(packed[0], "ghost")
-    one, other = (run(packed, ghost, KeyedCoin(2, 4), runs=300) for _ in range(2))
+    one, other = (run(packed, ghost, COIN, runs=300) for _ in range(2))
     assert (one.alarmed == other.alarmed).all()
     assert (one.away == other.away).all()
 

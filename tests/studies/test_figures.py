@@ -15,7 +15,7 @@ from studies.__main__ import main
 from studies.figures import FIGURES, draw
 from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.registry import origin, pages, recorded, stale, studies
+from studies.registry import origin, recorded, stale, studies
 from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row
 from wyner.sweeps.results import read_table
@@ -24,13 +24,10 @@ PAGE = ROOT / "docs" / "findings.md"
 PAGES = {
     "idea": ROOT / "README.md",
     "network": ROOT / "docs" / "concepts.md",
-    "key-controls": ROOT / "docs" / "keys.md",
-    "undetected": ROOT / "docs" / "findings.md",
-    "dither-price": ROOT / "docs" / "findings.md",
 }
 """Where a figure stands that is not among the findings."""
-CERTAIN = ("idea", "block-codes", "dither-price")
-"""Figures without an estimate: a single step, a search, and a closed form."""
+CERTAIN = ("idea",)
+"""Figures without an estimate: a single step."""
 
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
@@ -109,15 +106,15 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     assert figures(["nothing"]) == 2
     assert "got 'nothing', expected undetected" in capsys.readouterr().err
     assert figures(["network", "--data", str(tmp_path)]) == 1
-    assert figures(["price", "--data", str(tmp_path)]) == 1
+    assert figures(["rate-paper", "--data", str(tmp_path)]) == 1
     errors = capsys.readouterr().err.splitlines()
     assert errors == [
         f"wyner: {tmp_path / 'network.csv'}: cannot be read: No such file or directory",
-        f"wyner: {tmp_path / 'price.csv'}: cannot be read: No such file or directory",
+        f"wyner: {tmp_path / 'fig7-paper.csv'}: cannot be read: No such file or directory",
     ]
-    shutil.copy(DATA / "price.csv", tmp_path)
+    shutil.copy(DATA / "network.csv", tmp_path)
     (tmp_path / "out").write_text("in the way")
-    assert figures(["price", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
+    assert figures(["network", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -166,11 +163,6 @@ def test_a_page_says_that_its_rows_are_of_other_code() -> None:
         f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
         "of the code."
     )
-
-
-def test_every_page_has_its_tables_as_the_data_have_them() -> None:
-    for path, text in pages().items():
-        assert path.read_text(encoding="utf-8") == text, "run: python -m studies tables"
 
 
 def without_version(path: Path) -> list[Row]:

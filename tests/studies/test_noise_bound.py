@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from runtime.scenario_file import scenario_of
 from studies.bound.coins import Coin, largest_gain
-from studies.bound.loop import BoundError, LinearLoop
+from studies.bound.loop import LinearLoop
 from studies.bound.taps import block_left, response
 from studies.signalling import changed
 from tests.support.toeplitz import toeplitz
@@ -140,45 +140,3 @@ def test_a_short_hash_is_as_near_to_uniform_as_the_lemma_says() -> None:
                 total / count
                 <= 2 ** (2 / order - 1) * 2 ** (length * (1 - 1 / order)) * norm_s.sum()
             )
-
-
-# --- where it says nothing -----------------------------------------------------------------------
-
-
-def test_offers_in_clear_leave_nothing_and_noisy_ones_little(
-    four: LinearLoop, two: LinearLoop
-) -> None:
-    assert four.coin(HALF_WIDTH, "clear").bits == 0
-    assert four.coin(HALF_WIDTH, "clear").key_bits(10**6, 1e-6) == 0
-    noisy = two.coin(HALF_WIDTH, "noisy")
-    assert 1 / noisy.deviation == pytest.approx(9.734, abs=6e-4)
-    assert 1 / noisy.bits == pytest.approx(30.3, abs=0.05)
-
-
-def test_who_sees_less_leaves_more(four: LinearLoop) -> None:
-    everything = four.coin(HALF_WIDTH)
-    for states in ((0,), (1,)):
-        assert four.coin(HALF_WIDTH, states=states).bits >= everything.bits - 1e-12
-    assert four.coin(HALF_WIDTH, states=(1,)).bits > everything.bits
-
-
-def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: LinearLoop) -> None:
-    """A greedy adversary over 400 steps comes to it, and not beyond."""
-    F, row, reach = four.A + four.B @ four.K, four.K[0] / 6.0, 0.0
-    push = float(np.abs(four.offsets).max())
-    for _ in range(400):
-        reach += 0.12 * np.abs(row).sum() + push * abs(float(row @ four.B[:, 0]))
-        row = row @ F
-    assert four.used == pytest.approx(reach + push / 6.0, rel=1e-6)
-
-
-def test_a_law_that_is_not_packed_is_refused() -> None:
-    with pytest.raises(BoundError, match=r"control\.law: got 'sustained', expected 'packed'"):
-        LinearLoop.of(scenario_of("sustained"))
-
-
-def test_a_plant_of_one_s_own_code_is_refused() -> None:
-    scenario = scenario_of("packed")
-    plant = scenario.plant.model_copy(update={"kind": "function"})
-    with pytest.raises(BoundError, match=r"plant\.kind: got 'function'"):
-        LinearLoop.of(scenario.model_copy(update={"plant": plant}))

@@ -13,6 +13,7 @@ from studies.__main__ import main
 from tap_service.capture.transcript import Transcript
 from tools.reproduce import same
 from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.taps import public_messages
 
 
 def recorded(name: str) -> list[dict[str, str]]:
@@ -46,7 +47,7 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
     )  # fmt: skip
     assert runs.missed is not None
     link = transfer(runs, payloads=[b"Hi"])
-    said = list(missed_steps.messages_of(runs, link))
+    said = list(public_messages(runs, link, 0, "0" * 16))
     offered = {m.k for m in said if isinstance(m, Offer)}
     assert {k for k in range(60) if k not in offered} == set(np.flatnonzero(runs.missed[:, 0]))
     assert 0 < runs.missed.sum() < 10

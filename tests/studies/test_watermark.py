@@ -1,16 +1,25 @@
 """What would refute theorem 2 of docs/findings.md: a linear program, a search, and closed forms."""
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from studies.attacks.watermark import (
-    gaussian,
-    gaussian_passes,
-    least,
-    packed,
-    price_rows,
-)
+from controller_service.sets.terminal import feedback_gain
+from runtime.scenario_file import scenario_of
+from studies.attacks.study import gaussian_passes, packed
+from studies.signalling import dither_price
+
+
+def least(mu: float) -> float:
+    """No dither of less variance, in sigma^2, is passed so seldom."""
+    return (mu**-2 - 1) / 12
+
+
+def gaussian(mu: float) -> float:
+    """Variance of the normal dither that is passed with probability ``mu``, in sigma^2."""
+    return (2 * NormalDist().inv_cdf((1 + mu) / 2)) ** -2
 
 
 def least_by_program(mu: float, cells: int, reach: float) -> float:
@@ -61,8 +70,20 @@ def test_a_gaussian_needs_twice_the_variance() -> None:
     assert gaussian_passes(packed(4)) == pytest.approx(0.3453, abs=1e-4)
 
 
-def test_prices_are_those_of_the_variance() -> None:
-    rows = [row for row in price_rows(None) if row[2] == 4]
-    (proved, alphabet, normal) = (row[5:] for row in rows)
-    assert alphabet == pytest.approx(proved)
-    assert np.array(normal) / np.array(alphabet) == pytest.approx([1.9698] * 2, abs=1e-3)
+def test_price_is_that_of_a_simulated_loop() -> None:
+    scenario = scenario_of("packed")
+    A, B = np.array(scenario.A), np.array(scenario.B)
+    K = feedback_gain(scenario)
+    kx, ku = dither_price(A, B, K)
+    assert kx == pytest.approx(0.2623, abs=1e-3)
+    assert ku == pytest.approx(2.055, abs=2e-3)
+    rng = np.random.default_rng(4)
+    x, states, inputs = np.zeros((400, 2)), [], []
+    for k in range(600):
+        u = x @ K.T + rng.choice([-0.5, 0.5], (400, 1))
+        x = x @ A.T + u @ B.T
+        if k > 100:
+            states.append((x * x).sum(axis=1).mean())
+            inputs.append((u * u).mean())
+    assert np.mean(states) == pytest.approx(0.25 * kx, rel=0.02)
+    assert np.mean(inputs) == pytest.approx(0.25 * ku, rel=0.02)

@@ -8,7 +8,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from studies.eavesdroppers import LOSS, MEASUREMENTS, OFFERS
-from studies.listeners import heard_by
+from studies.listeners import heard_of
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.inference.affine_law import AffineLaw
@@ -18,7 +18,6 @@ from tap_service.inference.front import Inference
 from tap_service.inference.verdicts import verdicts_of
 from tests.support.shipped_run import shipped_run
 from wyner.simulate.engine import transfer
-from wyner.simulate.engine.taps import transcript
 
 A, B, NOISE = np.array([[0.8]]), np.array([[1.0]]), 0.3
 
@@ -107,7 +106,7 @@ def test_she_names_most_symbols_and_knows_how_sure_she_is(
     runs, _ = shipped_run(scenario, 240, 0)
     link = transfer(runs, payloads=[])
     heard_as = View.model_validate({**view, "seed": 0})
-    heard = heard_by(list(transcript(runs, link, 0)), heard_as)
+    heard = heard_of(runs, link, heard_as)
     told = heard_as.knowledge(runs.scenario.knowledge())
     if not policy:
         told = told.model_copy(update={"policy": None})
@@ -123,7 +122,7 @@ def test_she_names_most_symbols_and_knows_how_sure_she_is(
 def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
     """It reaches 0.83 of D_c, which is an eighth of D_e."""
     runs, _ = shipped_run("packed-double-integrator", 240, 1)
-    heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
+    heard = heard_of(runs, transfer(runs, payloads=[]), View(view="offers"))
     low, _ = Inference(runs.scenario.knowledge()).infer(heard).among
     assert low / 0.95 == pytest.approx(1 / 8 / 1.2, rel=0.2)
 
@@ -132,15 +131,14 @@ def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
 def test_how_wide_the_set_is_is_found_by_the_bends_of_the_law() -> None:
     """Two costs, no state heard: the facets that clip them scale with D_c, an eighth of D_e."""
     runs, _ = shipped_run("sustained", 90, 0)
-    heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
+    heard = heard_of(runs, transfer(runs, payloads=[]), View(view="offers"))
     low, high = Inference(runs.scenario.knowledge()).infer(heard).among
     assert low < 1 / 8 < high < 1.5 * low
 
 
 def test_of_what_nobody_told_her_she_infers_nothing() -> None:
     runs, _ = shipped_run("packed", 60, 0)
-    heard = list(transcript(runs, transfer(runs, payloads=[]), 0))
     told = runs.scenario.knowledge().model_copy(update={"policy": None})
     silent = View.model_validate(MEASUREMENTS)
-    steps = Inference(told).infer(heard_by(heard, silent)).steps
+    steps = Inference(told).infer(heard_of(runs, transfer(runs, payloads=[]), silent)).steps
     assert all(s.samples is None for s in steps)

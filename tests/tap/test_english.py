@@ -10,7 +10,8 @@ from studies.secrecy.kinds import messages
 from studies.secrecy.runs import SENTENCES as SHORT
 from studies.secrecy.sentences import SENTENCES
 from tap_service.inference.english import TEXT
-from tap_service.inference.expectation import ANY, UNKNOWN, any_bytes, expected
+from tap_service.inference.expectation import ANY, UNKNOWN, expected
+from tests.support.any_bytes import any_bytes
 
 
 def bits(text: bytes) -> float:

@@ -9,11 +9,11 @@ from protocol.schemes.base import encrypt
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
-from tap_service.inference.expectation import any_bytes
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import Beam
 from tap_service.inference.message_graph import Graph
 from tap_service.inference.message_search import MessageSearch
+from tests.support.any_bytes import any_bytes
 
 
 def test_a_beginning_that_nothing_heard_allows_leaves_the_others_finite() -> None:

@@ -9,7 +9,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from studies.corners import at_the_corners
-from studies.listeners import heard_by
+from studies.listeners import heard_of
 from studies.outputs import CONDITIONS, over
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
@@ -174,7 +174,7 @@ def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     hits: list[bool] = []
     at_once = 0
     for place in range(3):
-        heard = heard_by(list(transcript(runs, link, place)), view)
+        heard = heard_of(runs, link, view, place)
         tap = kind(view.knowledge(scenario.knowledge()))
         at_once += sum(tap.observe(t).best == runs.coin[t.k, place] for t in heard)
         for g in tap.review():

@@ -27,7 +27,7 @@ from tap_service.eavesdroppers.text import Text
 from tap_service.inference import message_search
 from tap_service.inference.alignment import align
 from tap_service.inference.counts import distinct
-from tap_service.inference.expectation import any_bytes, expected
+from tap_service.inference.expectation import expected
 from tap_service.inference.front import Inference
 from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
@@ -36,6 +36,7 @@ from tap_service.inference.message_halves import first_of_each
 from tap_service.inference.message_reader import Message, MessageReader
 from tap_service.inference.message_search import BEAM, Found, MessageSearch
 from tap_service.inference.verdicts import made_of, verdicts_of
+from tests.support.any_bytes import any_bytes
 from tests.support.held_memory import kept
 from tests.support.size import size
 from wyner.runs.score.score import score
@@ -513,7 +514,7 @@ def test_a_session_s_first_steps_are_inferred_without_the_law_that_does_not_hold
     assert min(said) > 0.005  # never sure of another one
 
 
-def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
+def test_a_law_that_a_bound_clips_keeps_the_candidates_apart() -> None:
     """The double integrator, whose inputs its bound clips: most keys of lost offers are sure."""
     run = simulate(320, 1000, name="packed-double-integrator", payloads=[b"x" * 20])
     view = View(seed=1000, loss=0.3)

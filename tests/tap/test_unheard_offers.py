@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from protocol.knowledge import Knowledge
-from studies.listeners import heard, heard_by
+from studies.listeners import heard, heard_of
 from studies.secrecy.runs import simulate
-from studies.secrecy.study import heard_by as heard_of
+from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.inference.inferred import InferredStep
@@ -14,7 +14,6 @@ from tap_service.inference.policy import KnownLaw
 from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
 from tests.support.shipped_run import shipped_run
 from wyner.simulate.engine import transfer
-from wyner.simulate.engine.taps import transcript
 
 
 def by_readings(k: Knowledge, heard: list[Transition], noise: float = 0.0) -> list[InferredStep]:
@@ -67,7 +66,7 @@ def test_one_of_the_shapes_is_the_alphabet(scenario: str) -> None:
 def test_how_sure_she_is_of_a_step_is_how_often_she_is_right() -> None:
     runs, _ = shipped_run("noisy", 400, 3)
     link = transfer(runs, payloads=[])
-    said = heard_by(list(transcript(runs, link, 0)), View(view="measurements"))
+    said = heard_of(runs, link, View(view="measurements"))
     stated, right = 0.0, 0
     for step in by_readings(runs.scenario.knowledge(), said):
         assert step.samples is not None
@@ -80,7 +79,7 @@ def test_how_sure_she_is_of_a_step_is_how_often_she_is_right() -> None:
 @pytest.mark.parametrize("name", ["sustained", "packed"])
 def test_a_lost_state_leaves_its_steps_open(name: str) -> None:
     run = simulate(90, 1, name=name)
-    heard = heard_of(run, View(view="measurements", loss=0.2, seed=1))
+    heard = heard_by(run, View(view="measurements", loss=0.2, seed=1))
     k = run.scenario.knowledge()
     open_steps = [s.transition for s in by_readings(k, heard) if s.samples is None]
     assert open_steps

@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
     recorded = (args.states, args.inputs, args.period) != (None, None, None)
     if not recorded and Path(args.scenario).suffix.lower() in (".csv", ".mat"):
         raise UsageError(
-            f"{args.scenario}: a recording wants --states NAMES, --inputs NAMES and --period S"
+            f"{args.scenario}: a recording wants --states a,b and --inputs u, its columns, and "
+            "--period S"
         )
     found = _fit_recording(args) if recorded else _fit_plant(args)
     with writing(f"--output: {args.output}"):

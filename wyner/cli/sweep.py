@@ -75,6 +75,10 @@ def run(args: argparse.Namespace) -> int:
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
+        if args.plot is not None and output.exists() and not args.resume:
+            raise UsageError(
+                f"{output}: exists; `wyner sweep {output} --plot` draws it, --resume goes on"
+            )
         with writing(f"--output: {output}"):
             results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:

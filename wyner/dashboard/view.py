@@ -1,7 +1,7 @@
 """The screen as a pure function: a state, a size and what the user asked for, to lines.
 
-The screen is whole from 80x24 on; on a smaller one whole panels go, in the order of
-`DROPPED_FIRST`.
+It is laid out for 80x24 at least, and a smaller terminal shows the upper left part. Where a caption
+takes the room, the message goes, then the loop.
 """
 
 import re
@@ -33,11 +33,8 @@ from wyner.dashboard.text import (
     symbol_of,
 )
 
-WHOLE: Final = (80, 24)
-"""The size, columns and rows, from which every panel is shown."""
-
-DROPPED_FIRST: Final = ("taps", "message", "loop")
-"""Panels that a small screen does without, in turn."""
+SMALLEST: Final = (80, 24)
+"""Columns and rows that the screen is laid out for at least."""
 
 SILENT_AFTER_NS: Final = 2_000_000_000
 """A service that has not been heard for this long is called silent."""
@@ -72,7 +69,6 @@ HELP: Final = (
     "comparing. model error: how far Eve's A and B are off. whole at step: when Eve",
     "was sure of the text. Eve's probabilities are its own claims: no interval.",
     "reported, true: what the sensor says and what is so, under an attack.",
-    "A small screen drops, in turn: eavesdroppers; message; loop and key test.",
     "`wyner report` writes the same comparison as a page, once a run is over.",
 )
 
@@ -102,9 +98,10 @@ class ViewState:
 
 def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) -> Group:
     """The whole screen, ``height`` lines of at most ``width`` cells."""
-    page = _Page(state, width, view, now_ns)
-    body = page.help() if view.help else page.body(height - 1)
-    body += [line()] * (height - 1 - len(body))
+    rows = max(height, SMALLEST[1]) - 1
+    page = _Page(state, max(width, SMALLEST[0]), view, now_ns)
+    body = page.help() if view.help else page.body(rows)
+    body += [line()] * (rows - len(body))
     lines = [*body[: height - 1], page.footer()]
     for each in lines:
         each.truncate(width, overflow="ellipsis")
@@ -119,38 +116,30 @@ class _Page:
 
     def body(self, height: int) -> list[Text]:
         """The panels that fit; the loop and its picture grow with the screen."""
-        caption = self._caption()
-        keys = distilled(self.state, self.width)
-        sizes = {"loop": LOOP_ROWS, "message": 5, "taps": 2}
-        if caption:
-            del sizes["taps"]
-        fixed = 1 + 3 + len(keys) + len(caption)  # the header, the secrecy panel
-        for panel in DROPPED_FIRST:
-            if fixed + sum(sizes.values()) > height:
-                sizes.pop(panel, None)
-        spare = max(0, height - fixed - sum(sizes.values()))
-        more_taps = max(0, min(spare, len(self.taps) - 1, 7)) if "taps" in sizes else 0
+        caption, keys = self._caption(), distilled(self.state, self.width)
+        table = 0 if caption else 2
+        spare = max(0, height - 1 - LOOP_ROWS - 5 - 3 - len(keys) - len(caption) - table)
+        more_taps = max(0, min(spare, len(self.taps) - 1, 7)) if table else 0
         spare -= more_taps
         explained = spare >= 4
         spare -= explained
         texts = 1
-        if "message" in sizes and spare >= 8:
+        if spare >= 8:
             texts += max(0, min((spare - 4) // 2, len(self.taps) - 1))
             spare -= 2 * (texts - 1)
-        lines = [self.header()]
-        if "loop" in sizes:
-            lines += self.top(LOOP_ROWS + spare)
-        if "message" in sizes:
-            lines += self.message(texts)
-        shown = self.taps[: 1 + more_taps] if "taps" in sizes else []
+        shown = self.taps[: 1 + more_taps] if table else []
         hidden = 0 < len(shown) < len(self.taps)
         note = f"the strongest {len(shown)} of {len(self.taps)} eavesdroppers" if hidden else ""
-        lines += [rule("Secrecy", self.width, note), *amounts(self.secrecy, self.width), *keys]
-        if "taps" in sizes:
-            lines += eavesdroppers(self.state, shown, self.width)
+        below = [rule("Secrecy", self.width, note), *amounts(self.secrecy, self.width), *keys]
+        if table:
+            below += eavesdroppers(self.state, shown, self.width)
         if explained:
-            lines.append(explanation(self.secrecy, self.width))
-        return [*lines, *caption]
+            below.append(explanation(self.secrecy, self.width))
+        panels = [self.top(LOOP_ROWS + spare), self.message(texts), [*below, *caption]]
+        for spared in (1, 0):
+            if sum(map(len, panels)) > height - 1:
+                panels.pop(spared)
+        return [self.header(), *(row for panel in panels for row in panel)]
 
     def _caption(self) -> list[Text]:
         """A pause of the story, or the end of the run."""
@@ -231,20 +220,13 @@ class _Page:
         return keys.append(tail.rjust(self.width - keys.cell_len - 1), style="dim")
 
     def top(self, rows: int) -> list[Text]:
-        """The loop and its keys; the key test and the last steps beside or below them."""
-        both = self.width >= WHOLE[0]
-        left = self.width
-        if both:
-            left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
-        lines = self.loop(left, rows)
-        if both:
-            right = self.width - left - 1
-            test = agreement(self.state.model, self.state.pictured, right, rows)
-            if (rest := rows - len(test)) > 1:
-                test += self.last_steps(right, rest)
-            lines = beside(lines, test, left)
-        elif (rest := rows - len(lines)) > 1:
-            lines += self.last_steps(left, rest)
+        """The loop and its keys; the key test and the last steps beside them."""
+        left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
+        right = self.width - left - 1
+        test = agreement(self.state.model, self.state.pictured, right, rows)
+        if (rest := rows - len(test)) > 1:
+            test += self.last_steps(right, rest)
+        lines = beside(self.loop(left, rows), test, left)
         return lines + [line()] * (rows - len(lines))
 
     def loop(self, width: int, height: int) -> list[Text]:
@@ -274,7 +256,7 @@ class _Page:
     def _control(self, width: int) -> Text:
         """Where the state is among the controller's sets, or an alarm.
 
-        Under an attack the controller only knows the reported state, and the line says so.
+        The controller only knows the reported state: the line says how far the plant is from it.
         """
         controller, alarms = self.state.controller, self.state.alarms
         if alarms:
@@ -288,18 +270,18 @@ class _Page:
         else:
             steps = f"{count(controller.set_index)} steps"
             where = (f"at most {steps} to the target set", f"{steps} off")
-        if not self.state.attacked:
+        if not self.state.away:
             return line(longest(width, f" state: {where[0]}", f" state: {where[1]}"))
-        true = f"truly {number(self.state.away)}"
-        long, short = f" as reported {where[0]}, {true} away", f" reported {where[1]}; {true} off"
-        return line(longest(width, long, short, f" {true} away"), STYLES["bad"])
+        off = f"{number(self.state.away)} away"
+        long, short = f" reported {where[0]}; the plant is {off}", f" reported {where[1]}; is {off}"
+        return line(longest(width, long, short), STYLES["bad"])
 
     def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
         """A row for each component with its history, as far as there is room.
 
         Of an attacked plant the true component, with its history, stands beside the reported one.
         """
-        state, attacked = self.state, self.state.attacked
+        state, attacked = self.state, bool(self.state.true_states)
         lines = []
         for i, value in enumerate(x):
             told = f" x{i + 1}  {component(value, '+'):>8}  "

@@ -2,9 +2,10 @@
 
 import base64
 import binascii
-from typing import Any, ClassVar, Final, Literal, NamedTuple, get_args
+from collections.abc import Sequence, Sized
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, get_args
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from protocol.link.session import Rules
@@ -16,6 +17,13 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 TRANSITION, MISSED, INTERRUPTED = range(3)
 """Kinds of step."""
 
+LARGEST: Final = 2**31 - 1
+"""Of a step's number, and every other: what is kept of each has room for no larger one."""
+
+Number = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
+Symbol = Annotated[int, Field(ge=-1, le=LARGEST)]
+Index = Annotated[int, Field(ge=0, le=LARGEST)]
+
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TracedTransition:
@@ -26,32 +34,32 @@ class TracedTransition:
     ``digits`` is the position in the key stream that the offer named, if any, and ``keyed`` whether
     its digits served; ``expected`` is the controller's alone. The last three are there where the
     plant is attacked.
-
-    A model would take three times the room, and a run has millions.
     """
+
+    # A model would take three times the room, and a run has millions.
 
     event: Literal["transition"]
     session: str
-    j: int
-    k: int
+    j: Number
+    k: Number
     x: Vector
     candidates: tuple[Vector, ...]
-    cipher: int
+    cipher: Index
     x_next: Vector
     role: Literal["test", "message"]
     gauges: Vector
-    symbol: int
-    key: int
-    message_symbol: int
-    p: int
-    s: int
-    counts: int
+    symbol: Symbol
+    key: Symbol
+    message_symbol: Symbol
+    p: Number
+    s: Number
+    counts: Annotated[int, Field(ge=0, le=3)]
     predictions: tuple[Vector, ...] = ()
     box: tuple[Vector, Vector] | None = None
-    digits: tuple[int, int] | None = None
+    digits: tuple[Index, Index] | None = None
     keyed: bool = False
-    expected: int = -1
-    coin: int | None = None
+    expected: Symbol = -1
+    coin: Index | None = None
     u: Vector | None = None
     true_x_next: Vector | None = None
     true_u: Vector | None = None
@@ -85,12 +93,12 @@ class MissedLine:
 
     event: Literal["missed", "interrupted"]
     session: str
-    k: int
+    k: Number
     x: Vector
     u: Vector
     x_next: Vector
     candidates: tuple[Vector, ...] = ()
-    coin: int = -1
+    coin: Symbol = -1
     true_x_next: Vector | None = None
     true_u: Vector | None = None
     attack_failed: str = ""
@@ -264,11 +272,7 @@ class Break(NamedTuple):
 
 Item = OtherLine | Again | Break
 
-LARGEST: Final = 2**31 - 1
-"""Of a step's number, and every other: what is kept of each has room for no larger one."""
-
-_COUNTS: Final = ("j", "k", "p", "s")
-_SYMBOLS: Final = ("symbol", "key", "message_symbol", "expected", "coin")
+_SYMBOLS: Final = ("cipher", "symbol", "key", "message_symbol", "expected", "coin")
 
 
 class Shape(NamedTuple):
@@ -290,63 +294,56 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size, hidden = self
-        if any(abs(getattr(t, name)) > LARGEST for name in _COUNTS):
-            return "j, k, p, s: expected numbers of 32 bits"
         for name in _SYMBOLS:
-            value = getattr(t, name)
-            if value is not None and not -1 <= value < size:
-                return f"{name}: got {value}, expected -1 to {size - 1}"
-        if t.digits is not None and not all(0 <= v <= LARGEST for v in t.digits):
-            return f"digits: got {t.digits}, expected a block and a number in it"
-        if len(t.x) != n:
-            return f"x: got {len(t.x)} numbers, expected {n}"
-        if len(t.x_next) != n:
-            return f"x_next: got {len(t.x_next)} numbers, expected {n}"
-        if list(map(len, t.candidates)) != [m] * size:
-            return f"candidates: expected {size} of {m} inputs"
-        if len(t.gauges) != size:
-            return f"gauges: got {len(t.gauges)}, expected {size}"
+            if (getattr(t, name) or 0) >= size:
+                return f"{name}: got {getattr(t, name)}, expected less than {size}"
         if (t.box is not None) != bool(hidden):
             return f"box: expected {'one' if hidden else 'none'}"
-        if t.box is not None and not all(len(side) == hidden for side in t.box):
-            return f"box: expected two sides of {hidden} numbers"
-        if not 0 <= t.cipher < size:
-            return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
-        if not 0 <= t.counts <= 3:
-            return f"counts: got {t.counts}, expected 0 to 3"
+        own = (t.coin is not None, t.u is not None)
+        if own != (plant, plant) or (t.true_u is not None and not plant):
+            return "coin, u, true_u: expected in the plant's trace, and there alone"
         if plant and t.expected != -1:
             return "expected: only in the controller's trace"
-        if not plant and (t.coin is not None or t.u is not None):
-            return "coin, u: expected in the plant's trace only"
-        if not plant and (t.true_x_next is not None or t.true_u is not None):
-            return "true_x_next, true_u: expected in the plant's trace only"
-        if plant and (t.u is None or len(t.u) != m):
-            return f"u: expected {m} inputs"
-        if plant and t.coin in (None, -1):
-            return f"coin: got {t.coin}, expected 0 to {size - 1}"
-        return self._unlike_truth(t)
+        return _unlike_lengths(
+            ("x", [t.x], n),
+            ("x_next", [t.x_next], n),
+            ("candidates", [t.candidates], size),
+            ("candidates", t.candidates, m),
+            ("gauges", [t.gauges], size),
+            ("box", t.box or (), hidden),
+            ("u", [t.u] if t.u is not None else (), m),
+        ) or self._unlike_truth(t)
 
     def _unlike_truth(self, step: "TracedTransition | MissedLine") -> str:
         x, u = step.true_x_next, step.true_u
         if x is None and u is None:
             return ""
-        if x is None or u is None or (len(x), len(u)) != (self.hidden or self.n, self.m):
-            return f"true_x_next, true_u: expected {self.hidden or self.n} states, {self.m} inputs"
-        return ""
+        if x is None or u is None:
+            return "true_x_next, true_u: expected both or none"
+        return _unlike_lengths(("true_x_next", [x], self.hidden or self.n), ("true_u", [u], self.m))
 
     def unlike_missed(self, step: MissedLine) -> str:
         """The same of a missed step."""
-        if not abs(step.k) <= LARGEST:
-            return "k: expected a number of 32 bits"
-        if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
-            return f"expected {self.n} states and {self.m} inputs"
         if step.event == "missed" and (step.candidates or step.coin != -1):
             return "candidates, coin: expected of an interrupted step only"
-        if step.candidates and list(map(len, step.candidates)) != [self.m] * self.size:
-            return f"candidates: expected {self.size} of {self.m} inputs"
         if step.candidates and not 0 <= step.coin < self.size:
             return f"coin: got {step.coin}, expected 0 to {self.size - 1}"
-        return self._unlike_truth(step)
+        return _unlike_lengths(
+            ("x", [step.x], self.n),
+            ("x_next", [step.x_next], self.n),
+            ("u", [step.u], self.m),
+            ("candidates", [step.candidates] if step.candidates else (), self.size),
+            ("candidates", step.candidates, self.m),
+        ) or self._unlike_truth(step)
+
+
+def _unlike_lengths(*named: tuple[str, Sequence[Sized], int]) -> str:
+    """The first field of which some vector is not as long as it must be; empty where all are."""
+    for name, vectors, length in named:
+        for one in vectors:
+            if len(one) != length:
+                return f"{name}: got {len(one)} of them, expected {length}"
+    return ""
 
 
 def wrong(error: ValidationError) -> str:

@@ -4,6 +4,9 @@ Recordings carry marks of their own, which also a lone service writes. The seal 
 statuses, logs, journals, beliefs, the summary, and the manifest itself. Nobody
 signs it: it tells what was changed by chance or by hand, and
 not by somebody who makes it anew.
+
+A file that matches none of the patterns is no evidence: a page, a table or a copy that somebody put
+there, a lock, what is on its way to its name.
 """
 
 import hashlib
@@ -15,7 +18,31 @@ from typing import Any, Final
 from runtime.files import open_regular, read_regular, write_atomically
 from runtime.recording import CONTINUED, decode
 from runtime.run_folder import MANIFEST, SUMMARY
-from wyner.runs.evidence_files import evidence_below
+
+READ: Final = (
+    "manifest.json",
+    "scenario.toml",
+    "plant/trace*.jsonl",
+    "controller/trace*.jsonl",
+    "plant/journal.sqlite3*",
+    "controller/journal.sqlite3*",
+    "tap/capture*.jsonl",
+    "tap/guesses*.jsonl",
+    "tap/analysis*.jsonl",
+    "tap/status.json",
+)
+"""Files that rules read, so that a change of one fails the check of a run without a seal, too."""
+
+SEAL_ALONE: Final = (
+    "summary.json",
+    "controller/message",
+    "tap/beliefs.json",
+    "tap/knowledge.json",
+    "tap/view.json",
+    *(f"{side}/status.json" for side in ("controller", "plant")),
+    *(f"{side}/log" for side in ("controller", "plant", "tap")),
+)
+"""Files that the seal alone holds to what they were."""
 
 FILES: Final = "files"
 ITSELF: Final = "manifest"
@@ -23,9 +50,6 @@ ITSELF: Final = "manifest"
 
 COMING: Final = Path(".summary.json")
 """The summary before its seal is written. Where a run is killed between the two, it is no lack."""
-
-NOT_SEALED: Final = (MANIFEST.name,)
-"""Evidence that changes after the run: the seal's own file."""
 
 CHANGED: Final = "it is not as the run left it"
 
@@ -117,9 +141,18 @@ def _continues(path: Path, size: int) -> bool:
     return (decode(first) or {}).get("event") == CONTINUED
 
 
+def evidence_below(run_dir: Path) -> list[Path]:
+    """The files of a run's folder that carry evidence, by name; links are left out.
+
+    Others may come and go meanwhile.
+    """
+    found = {path for pattern in (*READ, *SEAL_ALONE) for path in run_dir.glob(pattern)}
+    return sorted(path for path in found if path.is_file() and not path.is_symlink())
+
+
 def _all_held(run_dir: Path) -> dict[str, Held]:
     names = (str(path.relative_to(run_dir)) for path in evidence_below(run_dir))
-    return {name: _held(run_dir / name) for name in names if not name.endswith(NOT_SEALED)}
+    return {name: _held(run_dir / name) for name in names if name != MANIFEST.name}
 
 
 def _held(path: Path) -> Held:

@@ -31,8 +31,7 @@ from tests.support.recorded_pair import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.evidence_files import KINDS
-from wyner.runs.seal import broken, seal
+from wyner.runs.seal import READ, SEAL_ALONE, broken, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
     CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
@@ -185,4 +184,4 @@ def test_check_says_which_files_are_evidence(run: Path, capsys: pytest.CaptureFi
     assert main(["check", str(run), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["sealed"]
-    assert [file["pattern"] for file in told["files"]] == [kind.pattern for kind in KINDS]
+    assert told["files"] == [*READ, *SEAL_ALONE]

@@ -7,9 +7,8 @@ from typing import Any
 from runtime.run_folder import loops_below
 from wyner.runs.check import Result, judge
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.evidence_files import KINDS
 from wyner.runs.run import Run
-from wyner.runs.seal import is_sealed
+from wyner.runs.seal import READ, SEAL_ALONE, is_sealed
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class CheckedRun:
             "skipped": self._count("SKIP"),
             "sealed": self.sealed,
             "rules": [result.as_json() for result in self.results],
-            "files": [kind._asdict() for kind in KINDS],
+            "files": [*READ, *SEAL_ALONE],
         }
 
     def __str__(self) -> str:

@@ -2,7 +2,6 @@
 
 import base64
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from textwrap import wrap
 from typing import Any, Final
@@ -30,12 +29,6 @@ from wyner.runs.score.score import (
     score_run,
 )
 from wyner.runs.trace import columns
-from wyner.simulate.missed import missed_steps
-
-LOCKSTEP: Final = "fast"
-
-MOST_STEPS: Final = 100_000
-"""Steps of a run of which the network's share is found: it takes some microseconds each."""
 
 GUESS_LENGTH: Final = 72
 """Characters of an eavesdropper's guess that are shown to people."""
@@ -58,7 +51,6 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
     it whole, -1 never. ``exchanged`` has so much of every message, the last 1000 of them.
-    Of ``missed`` steps ``missed_by_network`` are the network table's (:func:`missed_by_network`).
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
     every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
     ``trace_error`` says from where on a trace cannot be read, and what is summed up is
@@ -112,7 +104,6 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         "seconds": seconds,
         "transitions": transitions,
         "missed": steps - transitions,
-        "missed_by_network": missed_by_network(run, rows["k"][~made].tolist(), steps),
         "control_cost": mean_cost(rows, scenario.cost_weights),
         "agreements": agreements,
         "symbol_errors": wrong,
@@ -158,27 +149,6 @@ def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     }
 
 
-def missed_by_network(run: Run, without: Sequence[int], steps: int) -> int | None:
-    """How many of the steps without an offer the network's table takes, however fast the machine.
-
-    None without a table, in lock-step, where a step waits for its offer, and of long runs.
-    """
-    scenario, told = run.scenario, run.manifest or {}
-    if scenario.network is None or told.get("pace") == LOCKSTEP or not 0 < steps <= MOST_STEPS:
-        return None
-    seed = told.get("seed")
-    taken = missed_steps(scenario, seed=int(seed or 0), runs=range(1), steps=steps)
-    assert taken is not None
-    return sum(bool(taken[k, 0]) for k in without if k < steps)
-
-
-def _missed(summary: dict[str, Any]) -> str:
-    """The missed steps, and those of them that are the network's."""
-    by_network = summary["missed_by_network"]
-    text = f"{summary['missed']} missed"
-    return text if by_network is None else f"{text}, {by_network} of them by the network's table"
-
-
 def _text(payload: bytes) -> str:
     return payload.decode("utf-8", errors="replace")
 
@@ -192,7 +162,7 @@ def render(summary: dict[str, Any]) -> str:
         f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
         f"recovered  {got}",
         *_others(summary),
-        f"loop       {summary['steps']} steps ({_missed(summary)}), "
+        f"loop       {summary['steps']} steps ({summary['missed']} missed), "
         f"{summary['seconds']:.0f} s of plant time",
         "agreed     "
         + (

@@ -76,24 +76,29 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
 def public_messages(
     runs: Runs, link: Transfer, place: int, session: str
 ) -> Iterator[Measurement | Offer]:
-    """A measurement and an offer a transition, and the measurement that reports the last one."""
-    applied = -1
-    after: Vector = ()
-    for t in transcript(runs, link, place):
-        assert t.x is not None
+    """A measurement a step, and an offer unless the plant misses the step; one more measurement.
+
+    Raises
+    ------
+    ValueError
+        When the simulation kept no record.
+    """
+    made = {t.k: t for t in transcript(runs, link, place)}
+    assert runs.x is not None
+    x: list[Vector] = [tuple(row) for row in runs.x[:, :, place].tolist()]
+    applied, after = -1, x[0]
+    for k, now in enumerate(x):
+        yield Measurement.model_construct(
+            session=session, k=k, x=now, applied_k=applied, x_after=after
+        )
+        t = made.get(k)
+        if t is None:
+            continue
         assert t.candidates is not None
         assert t.cipher is not None
         assert t.x_next is not None
-        yield Measurement.model_construct(
-            session=session, k=t.k, x=t.x, applied_k=applied, x_after=after
-        )
-        yield Offer.model_construct(
-            session=session, k=t.k, candidates=t.candidates, cipher=t.cipher
-        )
-        applied, after = t.k, t.x_next
-    yield Measurement.model_construct(
-        session=session, k=applied + 1, x=after, applied_k=applied, x_after=after
-    )
+        yield Offer.model_construct(session=session, k=k, candidates=t.candidates, cipher=t.cipher)
+        applied, after = k, t.x_next
 
 
 def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
