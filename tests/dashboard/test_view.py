@@ -238,7 +238,7 @@ def test_a_state_under_attack_is_told_as_reported_beside_the_true_one() -> None:
     state = replace(state_after(700), true_states={700: (-28.892, 1.0)})
     for terminal in ((80, 24), (120, 40)):
         text = shown(state, *terminal)
-        assert re.search(r"reported in\w* .*target set; (the plant )?is 29\.1 away", text)
+        assert re.search(r"reported in\w* .*target set; plant 29\.1 away", text)
         assert "reported   +0.186, true  -28.892" in text
     assert "the plant is 29.078 from the x reported" in progress(state)
     honest = replace(state, true_states={700: state.states[700]})

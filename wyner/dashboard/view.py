@@ -265,9 +265,9 @@ class _Page:
             where = (f"at most {steps} to the target set", f"{steps} off")
         if not self.state.away:
             return line(longest(width, f" state: {where[0]}", f" state: {where[1]}"))
-        off = f"{number(self.state.away)} away"
-        long, short = f" reported {where[0]}; the plant is {off}", f" reported {where[1]}; is {off}"
-        return line(longest(width, long, short), STYLES["bad"])
+        off = f"plant {number(self.state.away)} away"
+        told = longest(width, f" reported {where[0]}; {off}", f" reported {where[1]}; {off}")
+        return line(told, STYLES["bad"])
 
     def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
         """A row for each component with its history, as far as there is room.
