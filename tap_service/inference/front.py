@@ -160,8 +160,10 @@ class Inference:
             return law if law.gap or law.doubt else None
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
+        if self._noise and law.gap:
+            return None
         if self._noise:
-            law = law if law.gap else law.likeliest(x, u, self._noise)
+            law = law.likeliest(x, u, self._noise)
             near = law.explains(x, u) <= BLURRED * law.blur(x, self._noise)
         else:
             law = law if law.gap else law.fitted(x, u)

@@ -15,7 +15,7 @@ from studies.__main__ import main
 from studies.figures import FIGURES, draw
 from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.registry import origin, pages, recorded, stale, studies
+from studies.registry import origin, recorded, stale, studies
 from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row
 from wyner.sweeps.results import read_table
@@ -163,11 +163,6 @@ def test_a_page_says_that_its_rows_are_of_other_code() -> None:
         f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
         "of the code."
     )
-
-
-def test_every_page_has_its_tables_as_the_data_have_them() -> None:
-    for path, text in pages().items():
-        assert path.read_text(encoding="utf-8") == text, "run: python -m studies tables"
 
 
 def without_version(path: Path) -> list[Row]:
