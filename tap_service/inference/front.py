@@ -151,6 +151,8 @@ class Inference:
         self, law: PlanarLaw, kept: Sequence[Transition], runs: Sequence[list[Transition]]
     ) -> PlanarLaw | None:
         """The law of the right width; None where it does not explain the offers."""
+        if law.gap and self._noise:
+            return None
         offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
         law = matching(law, offers)
         pairs = [t for t in kept if t.x is not None and t.candidates is not None]
@@ -160,8 +162,6 @@ class Inference:
             return law if law.gap or law.doubt else None
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
-        if self._noise and law.gap:
-            return None
         if self._noise:
             law = law.likeliest(x, u, self._noise)
             near = law.explains(x, u) <= BLURRED * law.blur(x, self._noise)

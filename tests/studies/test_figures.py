@@ -139,9 +139,9 @@ def test_data_that_are_not_whole_are_told_in_a_line(
 
 
 def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
-    one = studies()["widths"]
-    path = tmp_path / "widths.csv"
-    rows = recorded("widths")
+    one = studies()["network"]
+    path = tmp_path / "network.csv"
+    rows = recorded("network")
     path.write_text(
         "\n".join([",".join(one.head), *(",".join(row.values()) for row in rows), ""]).replace(
             rows[0]["version"], one.version
@@ -149,17 +149,17 @@ def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     )
     assert list(stale(tmp_path)) == []
     path.write_text(path.read_text().replace(one.version, "1.0.0+00000001"))
-    told = f"widths.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
+    told = f"network.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
     assert list(stale(tmp_path)) == [told + one.version]
 
 
 def test_a_page_says_that_its_rows_are_of_other_code() -> None:
-    one = studies()["widths"]
-    rows = [row | {"version": one.version} for row in recorded("widths")]
+    one = studies()["network"]
+    rows = [row | {"version": one.version} for row in recorded("network")]
     hash_ = one.version.partition("+")[2]
-    assert origin({"widths": rows}) == f"Rows of code {hash_}."
+    assert origin({"network": rows}) == f"Rows of code {hash_}."
     rows[3]["version"] = "1.0.0+00000001"
-    assert origin({"widths": rows}) == (
+    assert origin({"network": rows}) == (
         f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
         "of the code."
     )
