@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import pytest
 
+from controller_service.laws.base import CandidateLaw
 from protocol.agreement import NO_SYMBOL
 from protocol.plugins import UnknownError
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
@@ -18,7 +19,10 @@ from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import advance_many
 from runtime.shipped import SCENARIOS
 from tests.support.recorded_pair import RecordedPair
+from tests.support.safety import violations
 from wyner.cli.main import main
+from wyner.simulate.engine import follow, simulate_runs, transfer
+from wyner.simulate.network import Simulation
 
 
 class Hoard(NamedTuple):
@@ -206,6 +210,25 @@ def test_many_runs_are_so_many_single_ones(size: int) -> None:
 
 
 # --- simulated ------------------------------------------------------------------------------------
+
+
+def test_engine_and_simulation_make_the_same_transitions(
+    sustained: Scenario, sustained_law: CandidateLaw
+) -> None:
+    scenario = under(sustained, "hoarding")
+    runs = simulate_runs(scenario, sustained_law, seed=4, runs=range(1), steps=700)
+    t = transfer(runs, payloads=[b"ours"])
+    history = Simulation(scenario, sustained_law, seed=4, payloads=(b"ours",)).run(steps=700)
+    assert list(violations(history, (b"ours",))) == []
+    for (_, j), counted in history.plant.items():
+        expected = (t.agreed[j, 0], t.pad[j, 0], t.cipher[j, 0], t.message_symbol[j, 0], t.p[j, 0])
+        got = counted.symbol, counted.key, counted.cipher, counted.message_symbol, counted.p
+        assert got == expected
+    assert history.inbox == [b"ours"]
+    link = follow(runs, [scenario.secrecy.alpha])
+    assert link.message_symbols[0, 0] == (t.pad[:, 0] != NO_SYMBOL).sum() > 90
+    assert link.tested[0, 0] < 700
+    assert link.mistaken[0, 0] == 0
 
 
 def test_a_pad_that_is_made_of_several_keys_passes_the_check(tmp_path: Path) -> None:
