@@ -17,7 +17,7 @@ from protocol.scenario import Attack, Scenario
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
-from runtime.scenario_file import scenario_of
+from runtime.scenario_file import attack_option, scenario_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 
@@ -110,7 +110,7 @@ def test_a_stuck_actuator_is_labelled_and_its_reading_is_true(scenario: Scenario
         ({"kind": "gost"}, "attack.kind: got 'gost', expected ghost, replay"),
         ({"kind": "ghost", "knows": ["coins"]}, "attack.knows: ghost needs 'bus' and 'model'"),
         ({"kind": "ghost", "at": "bus"}, "attack.at: got 'bus', expected 'sensor': ghost"),
-        ({"kind": "ghost", "shares": 1}, "attack.shares: ghost: got 1, "),
+        ({"kind": "ghost", "shares": 1}, "attack.shares: got 1, "),
         ({"kind": "nowhere.py:X"}, "attack.kind: nowhere.py: no such file"),
         ({"kind": f"{OWN}:Observation"}, "attack.kind: got "),
     ],
@@ -122,6 +122,22 @@ def test_what_cannot_be_made_is_one_line(
         Attacker(scenario, Attack.model_validate({"onset": 5, **table}), 1)
     assert len(caught.value.lines) == 1
     assert caught.value.lines[0].startswith(line), caught.value.lines
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ghost", "--attack: got 'ghost', expected KIND@ONSET"),
+        ("ghost@x", "--attack: got 'ghost@x', expected KIND@ONSET"),
+        ("ghost@0", "--attack: onset: got 0, expected greater"),
+        ("ghost@9", "--attack: got onset 9, expected one below --steps 9"),
+        ("ghost@3,share", "--attack: got 'share', expected NAME=VALUE"),
+    ],
+)
+def test_a_wrong_option_is_one_line(text: str, expected: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        attack_option(text, None, 9)
+    assert caught.value.lines[0].startswith(expected)
 
 
 class Passed:
@@ -166,3 +182,24 @@ def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scena
     assert passed.on(m) == said
     later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
     assert passed.on(later).x_after == said.x, "the same state is said alike"
+
+
+JUNK = (
+    b"",
+    b"{",
+    b"\xff" * 100,
+    b"[" * 70_000,
+    b'{"schema":2,"session":"%s","k":1,"candidates":[[1]],"cipher":0}' % (b"0" * 16),
+)
+
+
+def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
+    attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+    attacker = Attacker(scenario, attack, 1)
+    junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
+    for kind in (Measurement, Offer):
+        for payload in junk:
+            assert attacker.incoming(kind, payload) == payload, "it goes on as it came"
+    offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
+    got = Offer.model_validate_json(attacker.incoming(Offer, offer.wire()))
+    assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
