@@ -2,7 +2,7 @@
 
 import random
 from itertools import accumulate
-from math import nextafter
+from math import inf, nextafter
 from typing import Any, ClassVar
 
 import pytest
