@@ -23,7 +23,7 @@ from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import violations
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
-from wyner.simulate.network import simulate
+from wyner.simulate.network import Simulation
 
 
 class Hoard(NamedTuple):
@@ -219,7 +219,7 @@ def test_engine_and_simulation_make_the_same_transitions(
     scenario = under(sustained, "hoarding")
     runs = simulate_runs(scenario, sustained_law, seed=4, runs=range(1), steps=700)
     t = transfer(runs, payloads=[b"ours"])
-    history = simulate(scenario, sustained_law, seed=4, steps=700, payload=b"ours")
+    history = Simulation(scenario, sustained_law, seed=4, payloads=(b"ours",)).run(steps=700)
     assert list(violations(history, (b"ours",))) == []
     for (_, j), counted in history.plant.items():
         expected = (t.agreed[j, 0], t.pad[j, 0], t.cipher[j, 0], t.message_symbol[j, 0], t.p[j, 0])

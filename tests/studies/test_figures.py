@@ -117,27 +117,6 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     assert figures(["network", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_data_that_are_not_whole_are_told_in_a_line(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = FIGURES[name].data
-    for file in files:
-        for other in files:
-            shutil.copy(DATA / f"{other}.csv", tmp_path)
-        path = tmp_path / f"{file}.csv"
-        whole = path.read_bytes()
-        header = whole.index(b"\n") + 1
-        for data in (b"", whole[:header], whole[: header + 3], b"a,b\n1,2\n", b"a\n\xff\n"):
-            path.write_bytes(data)
-            command = [name, "--data", str(tmp_path), "--output", str(tmp_path / "o")]
-            assert figures(command) == 1, data
-            (line,) = capsys.readouterr().err.splitlines()
-            assert line.startswith("wyner: ")
-            assert str(path) in line
-            assert "unexpected" not in line
-
-
 def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     one = studies()["network"]
     path = tmp_path / "network.csv"
