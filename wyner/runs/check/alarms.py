@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 from controller_service.alarms import alarm_of, first, session_ended, tested
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.box_observer import Box
-from protocol.link.events import Alarm
+from protocol.link.events import Alarm, PowerFailed, SessionBegan
 from protocol.link.records import AlarmRecord, LinkRecord
 from protocol.link.session import Counted, CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import Carry
 from wyner.runs.check.evidence import Evidence, Finding, Findings
-from wyner.runs.lines import AlarmLine, OtherLine, PowerLine, SessionLine
+from wyner.runs.lines import OtherLine
 
 COLUMNS = ("session", "j", "k", "gauges", "expected", "keyed", "x", "candidates", "x_next")
 MORE = ("block", "box", "predictions")
@@ -56,14 +56,14 @@ def alarms(e: Evidence) -> Findings:
                 due[session, t["j"]] = _Due(rules, offer, transition, reason, sure)
         elif not isinstance(item, OtherLine):
             continue
-        elif isinstance(item.line, PowerLine):
+        elif isinstance(item.line, PowerFailed):
             lost = True
             if t is not None:  # its alarm may be lost
                 due.pop((trace.sessions[t["session"]], t["j"]), None)
-        elif isinstance(item.line, SessionLine):
+        elif isinstance(item.line, SessionBegan):
             if item.line.session not in (None, newest):
                 newest, record = item.line.session, session_ended(rules, record)
-        elif isinstance(item.line, AlarmLine):
+        elif isinstance(item.line, Alarm):
             line = item.line
             unsure = trace.behind or not known or (lost and line.reason == "unwatched")
             told = due.pop((line.session, line.j), None)
@@ -95,15 +95,14 @@ class _Due(NamedTuple):
     reason: Any
     sure: bool
 
-    def unlike(self, line: AlarmLine) -> str:
+    def unlike(self, line: Alarm) -> str:
         """In what an alarm is not the one that is due; empty where it is."""
         t = self.transition
         read = Measurement.model_construct(
             session=t.session, k=t.k + 1, x=t.x_next, applied_k=t.k, x_after=t.x_next
         )
         due = alarm_of(self.rules, read, t, self.offer, self.reason)
-        told = Alarm(*(getattr(line, name) for name in Alarm._fields))
-        return "" if told == due else f"the alarm says {tuple(told)}, the test {tuple(due)}"
+        return "" if line == due else f"the alarm says {tuple(line)}, the test {tuple(due)}"
 
 
 def _made(session: str, t: dict[str, Any]) -> tuple[Offer, CountedTransition]:
