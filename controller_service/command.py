@@ -2,49 +2,29 @@
 
 import argparse
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
-from runtime.bus_options import (
-    ServiceOptions,
-    add_service_arguments,
-    buses_of,
-    check_addresses,
-    fleet_of,
-    loop_of,
-)
+from runtime.bus_options import add_service_arguments
+from runtime.end_service import EndOptions, run_end
 from runtime.errors import UsageError
-from runtime.options import (
-    MessageOptions,
-    checked,
-    fine,
-    folder_of,
-    message_of,
-    option,
-    pace_of,
-    picked,
-    run_dir_of,
-)
-from runtime.recording import Bounds
+from runtime.logs import logger
+from runtime.options import MessageOptions, message_of, option, picked
 
 if TYPE_CHECKING:
+    import threading
+
     from controller_service.laws.base import CandidateLaw
+    from controller_service.service import ControllerService
     from protocol.scenario import Scenario
+    from runtime.bus import Bus
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerOptions(MessageOptions, ServiceOptions):
+class ControllerOptions(MessageOptions, EndOptions):
     """The service's options."""
 
-    scenario: str = option("file or shipped name", "S", "sustained")
-    pace: str = option(
-        "pace of the plant, which sets the clock of network delays (default: realtime)",
-        "P",
-        "realtime",
-    )
     clear_alarm: bool = option("offer inputs again after an alarm has stopped them", default=False)
-    folder: str | None = option(
-        "folder of the files that the scenario names (default: the scenario's own)", "D"
-    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,11 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until a signal comes."""
-    return run_controller(picked(ControllerOptions, vars(args)))
-
-
-def run_controller(options: ControllerOptions) -> int:
     """Run until a signal comes.
 
     Raises
@@ -69,44 +44,22 @@ def run_controller(options: ControllerOptions) -> int:
     UsageError
         When an option's value is wrong.
     """
-    from controller_service.service import ControllerConfig, ControllerService, run_controllers
-    from runtime.fleet_host import check_loops
-    from runtime.scenario_file import keep_scenario, scenario_of
-    from runtime.shipped import scenario_file_of
+    from controller_service.service import ControllerConfig, ControllerService, open_in_fleet
 
-    check_addresses(options, "controller")
-    bounds = checked(Bounds, total_bytes=options.total_bytes)
+    options = picked(ControllerOptions, vars(args))
     message = message_of(options.message)
-    fleet = fleet_of(options, message)
-    if fleet is not None:
-        pace = pace_of(options.pace)
-        if options.check:
-            check_loops(fleet)
-            return fine(f"{len(fleet.loops)} loops")
-        folder = run_dir_of(options.run_dir)
-        with buses_of(options, "controller") as (stopping, field, management):
-            return run_controllers(
-                fleet, folder, designed, bounds, pace, field, management, stopping
-            )
-    scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
-    folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
-    if options.check:
-        return fine(f"scenario {scenario.name}")
-    config = ControllerConfig(
-        scenario=scenario,
-        law=designed(scenario),
-        loop=loop_of(options.loop),
-        message=message,
-        pace=pace,
-        seed=options.seed,
-        bounds=bounds,
-        clear_alarm=options.clear_alarm,
-        run_dir=run_dir_of(options.run_dir),
-        folder=folder,
-    )
-    with buses_of(options, "controller") as (stopping, field, management):
-        keep_scenario(config.run_dir, options.scenario)
-        return ControllerService(config, field, management, stopping).run()
+
+    def own(scenario: "Scenario") -> dict[str, Any]:
+        law = None if options.check else designed(scenario)
+        return {"law": law, "message": message, "clear_alarm": options.clear_alarm}
+
+    def single(
+        told: dict[str, Any], field: "Bus", management: "Bus", stopping: "threading.Event"
+    ) -> "ControllerService":
+        return ControllerService(ControllerConfig(**told), field, management, stopping)
+
+    fleets = open_in_fleet(cache(designed))  # loops of one scenario share one law
+    return run_end(options, logger("controller"), message, own, single, fleets)
 
 
 def designed(scenario: "Scenario") -> "CandidateLaw":

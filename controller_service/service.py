@@ -3,8 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import KW_ONLY, dataclass
 
 from controller_service.core import ControllerCore
 from controller_service.laws.online import OnlineLaw
@@ -18,25 +17,21 @@ from protocol.scenario import Scenario
 from protocol.streams import CIPHER
 from runtime.bus import Bus
 from runtime.chance import symbols
-from runtime.end_service import EndConfig, EndService
+from runtime.end_service import Common, EndConfig, EndService, Open
 from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
-from runtime.fleet import Fleet, FleetLoop
-from runtime.fleet_host import run_fleet
+from runtime.fleet import FleetLoop
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
 from runtime.logs import logger
 from runtime.model import load_model
-from runtime.pace import Pace
 from runtime.ports import Files
-from runtime.recording import Bounds, TraceWriter
+from runtime.recording import TraceWriter
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
 )
-from runtime.scenario_file import keep_scenario, scenario_of
-from runtime.shipped import scenario_file_of
 from runtime.user_code import UserCodeError
 
 
@@ -46,12 +41,11 @@ class ControllerConfig(EndConfig):
 
     ``message`` is queued once, however often the service is started with it.
     ``clear_alarm``: offers go on that an alarm has ended.
-    ``pace`` is the plant's: a network's delays are of its clock.
     """
 
+    _: KW_ONLY
     law: OnlineLaw
     message: bytes | None = None
-    pace: Pace = field(default_factory=lambda: Pace("realtime"))
     clear_alarm: bool = False
 
 
@@ -146,37 +140,12 @@ class ControllerService(EndService[ControllerCore]):
         )
 
 
-def run_controllers(
-    fleet: Fleet,
-    run_dir: Path,
-    law_of: Callable[[Scenario], OnlineLaw],
-    bounds: Bounds,
-    pace: Pace,
-    field: Bus,
-    management: Bus,
-    stopping: threading.Event,
-) -> int:
-    """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
-    laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
+def open_in_fleet(law_of: Callable[[Scenario], OnlineLaw]) -> Open:
+    """What opens the controller's end of a loop, under the law of its scenario."""
 
-    def open_end(loop: FleetLoop, _number: int) -> tuple[Endpoint, Files]:
-        folder = run_dir / loop.id
-        keep_scenario(folder, loop.scenario)
-        if loop.scenario not in laws:
-            scenario = scenario_of(loop.scenario)
-            laws[loop.scenario] = (scenario, law_of(scenario))
-        scenario, law = laws[loop.scenario]
-        config = ControllerConfig(
-            scenario,
-            folder,
-            loop.id,
-            law,
-            loop.payload,
-            pace,
-            seed=loop.seed,
-            bounds=bounds,
-            folder=scenario_file_of(loop.scenario).parent,
-        )
+    def open_end(told: Common, loop: FleetLoop, _number: int) -> tuple[Endpoint, Files]:
+        law = law_of(told["scenario"])
+        config = ControllerConfig(**told, law=law, message=loop.payload)
         return open_controller(config, status_s=FLEET_STATUS_S)
 
-    return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))
+    return open_end

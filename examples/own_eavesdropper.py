@@ -1,4 +1,4 @@
-"""An eavesdropper of one's own: she takes the candidate whose prediction is nearest in speed."""
+"""An eavesdropper of one's own: it takes the candidate whose prediction is nearest in speed."""
 
 from protocol.agreement import predict
 from wyner import Belief, Eavesdropper, Guess, Transition, eavesdrop, run

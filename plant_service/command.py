@@ -2,31 +2,28 @@
 
 import argparse
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from runtime.bus_options import (
-    ServiceOptions,
-    add_service_arguments,
-    buses_of,
-    check_addresses,
-    fleet_of,
-    loop_of,
-)
+from runtime.bus_options import add_service_arguments
+from runtime.end_service import EndOptions, run_end
 from runtime.errors import UsageError
-from runtime.options import checked, fine, folder_of, option, pace_of, picked, run_dir_of
-from runtime.recording import Bounds
+from runtime.logs import logger
+from runtime.options import option, picked
 from runtime.run_folder import PLANT_SAFE
+
+if TYPE_CHECKING:
+    import threading
+
+    from plant_service.service import PlantService
+    from protocol.scenario import Scenario
+    from runtime.bus import Bus
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlantOptions(ServiceOptions):
+class PlantOptions(EndOptions):
     """The service's options."""
 
-    scenario: str = option("file or shipped name", "S", "sustained")
-    pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
     steps: int | None = option("stop at step N", "N", least=1)
-    folder: str | None = option(
-        "folder of the files that the scenario names (default: the scenario's own)", "D"
-    )
     clear_safe: bool = option("run a plant again that is in its safe state", default=False)
     attack: str | None = option(
         "attack this plant from a step on, in place of the scenario's [attack]", "KIND@STEP"
@@ -43,11 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until the steps are made or a signal comes."""
-    return run_plant(picked(PlantOptions, vars(args)))
-
-
-def run_plant(options: PlantOptions) -> int:
     """Run until the steps are made or a signal comes.
 
     Raises
@@ -55,42 +47,22 @@ def run_plant(options: PlantOptions) -> int:
     UsageError
         When an option's value is wrong.
     """
-    from plant_service.service import PlantConfig, PlantService, run_plants
-    from runtime.fleet_host import check_loops
-    from runtime.scenario_file import attack_option, keep_scenario, scenario_of
-    from runtime.shipped import scenario_file_of
+    from plant_service.service import PlantConfig, PlantService, open_in_fleet
+    from runtime.scenario_file import attack_option
 
-    check_addresses(options, "plant")
-    bounds = checked(Bounds, total_bytes=options.total_bytes)
-    fleet = fleet_of(options)
-    if fleet is not None:
-        pace = pace_of(options.pace)
-        if options.steps is not None:
-            raise UsageError("--steps: a fleet runs until it is stopped")
-        if options.check:
-            check_loops(fleet)
-            return fine(f"{len(fleet.loops)} loops")
-        folder = run_dir_of(options.run_dir)
-        with buses_of(options, "plant") as (stopping, field, management):
-            return run_plants(fleet, folder, pace, bounds, field, management, stopping)
-    scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
-    attack = attack_option(options.attack, scenario.attack, options.steps)
-    folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
-    if options.check:
-        return fine(f"scenario {scenario.name}")
-    config = PlantConfig(
-        scenario=scenario,
-        loop=loop_of(options.loop),
-        pace=pace,
-        steps=options.steps,
-        attack=attack,
-        seed=options.seed,
-        bounds=bounds,
-        run_dir=run_dir_of(options.run_dir),
-        folder=folder,
-    )
-    if options.clear_safe:
-        (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
-    with buses_of(options, "plant") as (stopping, field, management):
-        keep_scenario(config.run_dir, options.scenario)
-        return PlantService(config, field, management, stopping).run()
+    options = picked(PlantOptions, vars(args))
+    if options.fleet is not None and options.steps is not None:
+        raise UsageError("--steps: a fleet runs until it is stopped")
+
+    def own(scenario: "Scenario") -> dict[str, Any]:
+        attack = attack_option(options.attack, scenario.attack, options.steps)
+        return {"steps": options.steps, "attack": attack}
+
+    def single(
+        told: dict[str, Any], field: "Bus", management: "Bus", stopping: "threading.Event"
+    ) -> "PlantService":
+        if options.clear_safe:
+            (told["run_dir"] / PLANT_SAFE).unlink(missing_ok=True)
+        return PlantService(PlantConfig(**told), field, management, stopping)
+
+    return run_end(options, logger("plant"), None, own, single, open_in_fleet)

@@ -273,7 +273,8 @@ class PlantCore(Endpoint):
         if over == "missed":
             yield from self.stepper.miss()
         elif over == "ended" and isinstance(state.step, Begun):
-            yield from self._counted(self.stepper.read(state.step))
+            digits = self.stepper.digits(state.step.offer)
+            yield from self._counted(self.stepper.read(state.step, digits))
         if session.accepted and pacing.measurement_due(now):
             yield Publish(self.stepper.measurement())
         if news.is_due(now, self.instance):

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
@@ -20,26 +19,22 @@ from protocol.scenario import Attack
 from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
 from runtime.chance import noise, symbols
-from runtime.end_service import EndConfig, EndService
+from runtime.end_service import Common, EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically
-from runtime.fleet import SLOTS, Fleet, FleetLoop
+from runtime.fleet import SLOTS, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
-from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
 from runtime.logs import logger
-from runtime.pace import Pace
 from runtime.ports import Files
-from runtime.recording import Bounds, TraceWriter
+from runtime.recording import TraceWriter
 from runtime.run_folder import (
     PLANT_JOURNAL,
     PLANT_SAFE,
     PLANT_STATUS,
     PLANT_TRACE,
 )
-from runtime.scenario_file import keep_scenario, scenario_of
-from runtime.shipped import scenario_file_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +44,6 @@ class PlantConfig(EndConfig):
     ``attack`` is on this plant, or on its bus.
     """
 
-    pace: Pace
     steps: int | None = None
     attack: Attack | None = None
 
@@ -189,35 +183,17 @@ class PlantService(EndService[PlantCore]):
             raise
 
 
-def run_plants(
-    fleet: Fleet,
-    run_dir: Path,
-    pace: Pace,
-    bounds: Bounds,
-    field: Bus,
-    management: Bus,
-    stopping: threading.Event,
-) -> int:
-    """Run the plants of a fleet on open buses; returns the exit code."""
+def open_in_fleet(told: Common, _loop: FleetLoop, number: int) -> tuple[Endpoint, Files]:
+    """The plant's end of a loop, the nth of its host.
 
-    def open_end(loop: FleetLoop, number: int) -> tuple[Endpoint, Files]:
-        folder = run_dir / loop.id
-        keep_scenario(folder, loop.scenario)
-        scenario = scenario_of(loop.scenario)
-        if not is_model(scenario):
-            kind = scenario.plant.kind
-            said = f"plant.kind: got {kind!r}, expected linear in a fleet"
-            raise UsageError(f"{loop.scenario}: {said}")
-        config = PlantConfig(
-            scenario,
-            folder,
-            loop.id,
-            pace,
-            seed=loop.seed,
-            bounds=bounds,
-            folder=scenario_file_of(loop.scenario).parent,
-        )
-        phase = number % SLOTS / SLOTS
-        return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
-
-    return run_fleet(fleet, open_end, field, management, stopping, logger("plant"))
+    Raises
+    ------
+    UsageError
+        When its plant is no linear model.
+    """
+    config = PlantConfig(**told)
+    if not is_model(config.scenario):
+        kind = config.scenario.plant.kind
+        raise UsageError(f"plant.kind: got {kind!r}, expected linear in a fleet")
+    phase = number % SLOTS / SLOTS
+    return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)

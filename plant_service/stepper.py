@@ -113,7 +113,7 @@ class Stepper:
         state.pacing.applied()
         state.watchdog.applied(now)
         if not (self.plant.acts and state.pacing.waiting):
-            yield from self.read(step)
+            yield from self.read(step, digits)
 
     def digits(self, offer: Offer) -> tuple[int, ...]:
         """The digits of the key stream that an offer names, where this end holds them."""
@@ -122,10 +122,16 @@ class Stepper:
 
     # --- read, save, report -----------------------------------------------------------------------
 
-    def read(self, step: Begun) -> Effects:
+    def read(self, step: Begun, digits: tuple[int, ...]) -> Effects:
         """The step is over: read the plant, save what is said of it, report it, and count it.
 
         A step whose session has ended while the plant acted counts in neither, and is missed.
+
+        Parameters
+        ----------
+        step : Begun
+        digits : tuple of int
+            Those of the key stream that its offer names, as :meth:`digits` finds them now.
         """
         state, offer, k = self.state, step.offer, self.state.link.k
         x_next = self.plant.end(k)
@@ -133,7 +139,6 @@ class Stepper:
             yield Tell(self.interrupted(x_next, sure=True))
             yield state.save()
             return
-        digits = self.digits(offer)
         block, tag = state.keys.announcement()
         report = Measurement(
             session=offer.session,

@@ -42,7 +42,7 @@ from protocol.secret.stream import NO_PART, BlockKeys, Held, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
-JOURNAL_VERSION: Final = 14
+JOURNAL_VERSION: Final = 15
 
 REMEMBERED: Final = 1000
 """Delivered messages whose identifiers are remembered, so that none is queued twice."""
@@ -58,7 +58,11 @@ CHECKPOINT_PAGES: Final = 2000
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
-_STEP: Final = "INSERT OR REPLACE INTO step VALUES (0, ?, ?, ?, ?, ?, ?)"
+_STEP: Final = "INSERT OR REPLACE INTO step VALUES (0, ?, ?)"
+
+_LENGTHS: Final = Struct(">IIIq")
+"""What a step's row begins with: bytes of the record, the offer and the measurement, and the
+coin."""
 
 _CONTRIBUTION: Final = Struct(">qqB32s32s")
 """As it stands in the step's row: j, steps, which of the two nonces count, and both."""
@@ -93,8 +97,7 @@ class Journal(ABC, Generic[R]):
     kind = ""
     adapter: ClassVar[TypeAdapter[Any]]
     tables: ClassVar[tuple[str, ...]] = (
-        "step (id INTEGER PRIMARY KEY, record BLOB, offer BLOB, coin INTEGER, measurement BLOB,"
-        " keys BLOB, check_ INTEGER)",
+        "step (id INTEGER PRIMARY KEY, step BLOB, check_ INTEGER)",
         "row (batch INTEGER PRIMARY KEY, rows BLOB, check_ INTEGER)",
         "stream (block INTEGER PRIMARY KEY, first INTEGER, keys BLOB, check_ INTEGER)",
     )
@@ -199,7 +202,8 @@ class Journal(ABC, Generic[R]):
         self._saved, self._rows = None, {}
         batches = [rows for _, rows in self._get("row")]
         keys = tuple(BlockKeys(*row) for row in self._get("stream"))
-        for _, record, offer, coin, measurement, of_keys in self._get("step"):
+        for _, row in self._get("step"):
+            record, offer, measurement, coin, of_keys = _of_row(row)
             part, newest = _keys_of(of_keys)
             self._rows = {row.j: _packed(row) for row in _unpacked(newest)}
             try:
@@ -234,7 +238,8 @@ class Journal(ABC, Generic[R]):
                 execute("BEGIN IMMEDIATE")
                 for statement in beside:
                     execute(*statement)
-            execute(_STEP, self._step(save))  # by itself it is a transaction
+            row = self._step(save)
+            execute(_STEP, (row, crc32(row, _ID_CHECK)))  # by itself it is a transaction
             if beside:
                 execute("COMMIT")
             if save.durable:
@@ -245,17 +250,20 @@ class Journal(ABC, Generic[R]):
             raise JournalError(f"{self.path}: {error}") from None
         self._saved = save.record  # type: ignore[assignment]
 
-    def _step(self, save: Save) -> tuple[Any, ...]:
-        """The columns of the step's row."""
+    def _step(self, save: Save) -> bytes:
+        """The step's row: lengths, record, offer, measurement, and what keys need of every step.
+
+        It is one column: SQLite takes more time for each one than for all the bytes.
+        """
         record = self.adapter.serializer.to_json(save.record)
         offer, coin, measurement = _columns(save.step)
-        keys = b""
-        if self._rows or save.rows.part != NO_PART:
-            block, first, digits = save.rows.part
-            part = _PART.pack(block, first, len(digits))
-            keys = b"".join((part, digits, *self._rows.values()))
-        check = check_of(0, record, offer, coin, measurement, keys)
-        return record, offer, coin, measurement, keys, check
+        lengths = _LENGTHS.pack(len(record), len(offer), len(measurement), coin)
+        if not self._rows and save.rows.part == NO_PART:
+            return b"".join((lengths, record, offer, measurement))
+        block, first, digits = save.rows.part
+        part = _PART.pack(block, first, len(digits))
+        keys = self._rows.values()
+        return b"".join((lengths, record, offer, measurement, part, digits, *keys))
 
     def _of_keys(self, save: Save) -> list[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
@@ -442,8 +450,19 @@ def _columns(step: Step) -> tuple[bytes, int, bytes]:
     return b"", NO_SYMBOL, b""
 
 
+def _of_row(row: bytes) -> tuple[bytes, bytes, bytes, int, bytes]:
+    """Record, offer, measurement, coin and keys of a step's row."""
+    *lengths, coin = _LENGTHS.unpack_from(row)
+    begins, parts = _LENGTHS.size, []
+    for length in lengths:
+        parts.append(row[begins : begins + length])
+        begins += length
+    record, offer, measurement = parts
+    return record, offer, measurement, coin, row[begins:]
+
+
 def _step_of(offer: bytes, coin: int, measurement: bytes) -> Step:
-    """The step of these columns."""
+    """The step of a step's row."""
     if not offer:
         return IDLE
     if not measurement:
@@ -469,9 +488,8 @@ def _within(j: int, ranges: tuple[range, ...]) -> bool:
 
 
 def _packed(row: Contribution) -> bytes:
-    return _CONTRIBUTION.pack(
-        row.j, row.steps, row.counts, row.offer or b"", row.measurement or b""
-    )
+    j, steps, offer, measurement = row
+    return _CONTRIBUTION.pack(j, steps, row.counts, offer or b"", measurement or b"")
 
 
 def _unpacked(rows: bytes) -> Iterator[Contribution]:
@@ -488,6 +506,10 @@ def check_of(*values: str | bytes | float | None) -> int:
     """
     texts = [value if isinstance(value, bytes) else str(value).encode() for value in values]
     return crc32(b"\0".join(texts))
+
+
+_ID_CHECK: Final = crc32(b"0\0")
+"""What the check of the step's row begins with, as :func:`check_of` makes it."""
 
 
 def _boot() -> str:

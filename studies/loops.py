@@ -1,4 +1,4 @@
-"""Data of the figures that no sweep gives: single transitions, taps, and sets in the plane."""
+"""Data that no sweep gives: what taps get under each disturbance, and sets in the plane."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -9,13 +9,12 @@ import numpy as np
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, Gauge, predict
-from protocol.arrays import Array
 from protocol.convex import Polytope, planar_vertices
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies.registry import study
-from wyner.simulate.engine import Runs, simulate_runs, transfer
+from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.sweeps import SWEEPS
 from wyner.sweeps.grid import Point, load_sweep, points_of
@@ -23,17 +22,13 @@ from wyner.sweeps.grid import Point, load_sweep, points_of
 SEED: Final = 7
 ALPHAS: Final = (1.5, 3.0, 8.0)
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
-PLANTS: Final = ("sustained", "double-integrator", "quadruple-tank", "batch-reactor")
 MESSAGE: Final = b"We sail at dawn."
 TAP_RUNS, TAP_STEPS = 20, 1500
-BURN_IN: Final = 1000
-"""Steps that the candidates' distances leave out: until then the loop is on its way."""
 SHOWN_SETS: Final = (0, 1, 2, 3, 4, 6, 8)
 
 TAP_COLUMNS: Final = (
     "variant alpha runs steps seed agreements nearest_right delivered read_by_list_decoder"
 )
-WIDTH_COLUMNS: Final = "scenario runs steps seed quantile distance"
 SET_COLUMNS: Final = "seed kind name index x_1 x_2"
 
 
@@ -48,22 +43,6 @@ def starting_at(scenario: Scenario, x: Sequence[float]) -> Scenario:
     """The scenario from another initial state."""
     plant = scenario.plant.model_copy(update={"initial_state": tuple(x)})
     return scenario.model_copy(update={"plant": plant})
-
-
-def centre_distances(runs: Runs) -> Array:
-    """c_0 - c_1 of every transition, shape (steps, R, n)."""
-    assert runs.candidates is not None
-    B = np.array(runs.scenario.B)
-    du = (runs.candidates[:, 0] - runs.candidates[:, 1]).transpose(0, 2, 1)
-    out: Array = du @ B.T
-    return out
-
-
-def gauges_of(scenario: Scenario, v: Array) -> Array:
-    """g of each row of v, shape (..., n): in units of D_c."""
-    H, h = (np.array(a) for a in scenario.defender.disturbance.rows())
-    out: Array = np.maximum(0.0, (v @ H.T / h).max(axis=-1))
-    return out
 
 
 def tap_row(point: Point, runs: int, steps: int) -> tuple[Any, ...]:
@@ -93,19 +72,6 @@ def tap_rows(_: None, runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> Iterator[
     for point in points_of(load_sweep(file), file.parent):
         if point.scenario.secrecy.alpha == max(ALPHAS):
             yield tap_row(point, runs, steps)
-
-
-@study("widths", WIDTH_COLUMNS, lambda: PLANTS)
-def width_rows(name: str) -> Iterator[tuple[Any, ...]]:
-    """Quantiles of the candidates' distance of a plant."""
-    runs, steps = 30, 200
-    scenario, law = system(name)
-    sample = simulate_runs(
-        scenario, law, seed=SEED, runs=range(runs), steps=BURN_IN + steps, record=True
-    )
-    distance = gauges_of(scenario, centre_distances(sample)[BURN_IN:]).ravel()
-    for q in np.linspace(0, 1, 101).tolist():
-        yield name, runs, steps, SEED, q, float(np.quantile(distance, q))
 
 
 @study("sets", SET_COLUMNS)

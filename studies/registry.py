@@ -309,6 +309,8 @@ def pages() -> dict[Path, str]:
         rows = {name: recorded(name) for name in one.studies}
         made = one.make(*rows.values())
         shown = made if isinstance(made, str) else markdown_table(made)
+        if rows:
+            shown = f"{shown}\n\n{origin(rows)}"
         text = found.get(path) or path.read_text(encoding="utf-8")
-        found[path] = between_marks(text, mark, f"{shown}\n\n{origin(rows)}")
+        found[path] = between_marks(text, mark, shown)
     return found

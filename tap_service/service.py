@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
@@ -38,6 +38,7 @@ from tap_service.status import beliefs_json, facts_of, reports_of
 if TYPE_CHECKING:
     from runtime.addresses import Addresses
     from runtime.bus import Bus
+    from tap_service.fleet import TapFleet
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -69,23 +70,11 @@ Note = Callable[["Bus"], AbstractContextManager["Bus"]]
 """What else is done with the bus that statuses are published on, such as metrics."""
 
 
-class Listens(Protocol):
-    """A tap, or the taps of a fleet."""
-
-    log: logging.Logger
-
-    def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
-        """Subscribe to the field messages, and publish on the adversary bus."""
-
-    def run(self, stopping: threading.Event) -> None:
-        """Mirror, guess and publish until ``stopping``; then guess what is left."""
-
-    def close(self) -> None:
-        """End the files and the processes beside."""
-
-
 def run_tap(
-    make: Callable[[], Listens], field: "Addresses", adversary: "Addresses", note: Note
+    make: Callable[[], "TapService | TapFleet"],
+    field: "Addresses",
+    adversary: "Addresses",
+    note: Note,
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
 

@@ -1,4 +1,4 @@
-"""She says for ever what she said last."""
+"""The sensor repeats its last honest reading for ever."""
 
 from attacker_service.base import SensorAttack
 

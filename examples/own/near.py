@@ -1,7 +1,7 @@
-"""She takes the candidate whose centre lies nearest to x(k+1), and follows the scheme.
+"""Eve takes the candidate whose centre lies nearest to x(k+1), and follows the scheme.
 
-She names nearly every key and reads no message: each agreement that she guesses wrongly puts her
-bits out of place. ``list-decoder`` follows every threshold, and reads it.
+Eve then names nearly every key and reads no message: each agreement that is guessed wrongly puts
+the later bits out of place. ``list-decoder`` follows every threshold, and reads it.
 """
 
 from protocol.agreement import NO_SYMBOL

@@ -218,14 +218,14 @@ class Distiller:
             measurement=link.nonce,
             heard=offer.heard,
         )
-        if self._open.empty:
+        if not self._open.pattern:
             self.record = self.record._replace(begun=self.record.begun + 1)
         self._count(self.schedule, row)
         self._rows.append(row)
         return row
 
     def _count(self, schedule: Schedule, row: Contribution) -> None:
-        if self._open.empty:
+        if not self._open.pattern:
             self._number = schedule.block_of(row.j)
             self._following = schedule.begins(self._number + 1)
         self._open.add(row)

@@ -28,7 +28,7 @@ class StepMessage(Message):
     @classmethod
     def from_wire(cls, payload: bytes) -> Self:
         """The message that ``payload`` is, which it keeps."""
-        message = super().from_wire(payload)
+        message: Self = cls.__pydantic_validator__.validate_json(payload)
         message.__dict__["_bytes"] = payload
         return message
 
@@ -132,11 +132,11 @@ class Offer(StepMessage):
     @property
     def position(self) -> Position:
         """Where in the key stream its digits begin; :data:`NOWHERE` where it has none."""
-        if self.stream_block is None or self.stream_at is None or self.stream_block < 0:
-            return NOWHERE
         made: Position | None = self.__dict__.get("_position")
         if made is None:  # a step asks for it six times
-            made = self.__dict__["_position"] = Position(self.stream_block, self.stream_at)
+            block, at = self.stream_block, self.stream_at
+            made = NOWHERE if block is None or at is None or block < 0 else Position(block, at)
+            self.__dict__["_position"] = made
         return made
 
 

@@ -9,7 +9,7 @@ from protocol.knowledge import NotNegative, Policy, PolicyCost
 from protocol.plugins import names_a_file
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
-from protocol.scenario.sets import ConvexSet, Resisted, compact_problem
+from protocol.scenario.sets import ConvexSet, Resisted, set_problem
 from protocol.vectors import FiniteMatrix
 
 
@@ -93,25 +93,18 @@ class Control(ScenarioTable):
 
     def problems(self, n: int, m: int, candidates: int) -> Iterator[str]:
         """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""
-        yield from shape_problem("control.inputs", self.inputs.dimension, m)
-        yield from compact_problem("control.inputs", self.inputs)
+        yield from set_problem("control.inputs", self.inputs, m)
         if self.states is not None:
             yield from shape_problem("control.states", self.states.dimension, n)
-        if self.disturbance is not None:
-            yield from shape_problem("control.disturbance", self.disturbance.dimension, n)
-            yield from compact_problem("control.disturbance", self.disturbance)
+        yield from set_problem("control.disturbance", self.disturbance, n)
         if self.gain is not None:
             yield from shape_problem("control.gain", shape(self.gain), (m, n))
-        if self.regulator is not None:
-            yield from shape_problem(
-                "control.regulator.next_state", len(self.regulator.next_state), n
-            )
-            yield from shape_problem("control.regulator.input", len(self.regulator.input), m)
-        if self.performance is not None:
-            yield from shape_problem(
-                "control.performance.next_state", len(self.performance.next_state), n
-            )
-            yield from shape_problem("control.performance.input", len(self.performance.input), m)
+        for name in ("regulator", "performance"):
+            table: Regulator | Performance | None = getattr(self, name)
+            if table is not None:
+                at = f"control.{name}"
+                yield from shape_problem(f"{at}.next_state", len(table.next_state), n)
+                yield from shape_problem(f"{at}.input", len(table.input), m)
         yield from self.count_problems(candidates)
         for i, cost in enumerate(self.costs):
             for name, weights, size in (

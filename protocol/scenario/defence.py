@@ -37,10 +37,6 @@ class DefenceTable(ScenarioTable):
         """Whether the plant's coin comes from keys."""
         return self.coin == "keys"
 
-    def shared(self) -> dict[str, object]:
-        """What both ends must agree on, for their fingerprint."""
-        return {"coin": "keyed"} if self.keyed else {}
-
     def watch(self, keys: Keys | None) -> Watch:
         """When unwatched steps make an alarm."""
         schedule = None if keys is None else keys.schedule()

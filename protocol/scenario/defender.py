@@ -8,7 +8,7 @@ from pydantic import Field
 from protocol.scenario.noise import NoiseSet
 from protocol.scenario.parts import Positive, ScenarioTable, shape, shape_problem
 from protocol.scenario.plant import Disturbance
-from protocol.scenario.sets import Resisted, compact_problem
+from protocol.scenario.sets import Resisted, set_problem
 from protocol.vectors import FiniteMatrix
 
 
@@ -59,15 +59,8 @@ class Defender(ScenarioTable):
             yield from shape_problem("defender.A", shape(self.A), (n, n))
         if self.B is not None:
             yield from shape_problem("defender.B", shape(self.B), (n, m))
-        yield from shape_problem("defender.disturbance", self.disturbance.dimension, n)
-        yield from compact_problem(
-            "defender.disturbance",
-            self.disturbance,
-            " (a test on some of the states alone, Remark 3 of the paper, is not offered)",
-        )
-        if self.noise is not None:
-            yield from shape_problem("defender.noise", self.noise.dimension, readings)
-            yield from compact_problem("defender.noise", self.noise)
+        yield from set_problem("defender.disturbance", self.disturbance, n)
+        yield from set_problem("defender.noise", self.noise, readings)
         if self.bounds is not None:
             yield from shape_problem("defender.bounds", len(self.bounds), n)
         if self.deviations is not None:

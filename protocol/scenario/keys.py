@@ -66,14 +66,3 @@ class Keys(ScenarioTable):
                 "keys.eps_E if you can)"
             )
         return f"eps_E = {self.assumption().eps_E:g}: no block is long enough for a key"
-
-    def shared(self) -> dict[str, object]:
-        """What both ends must agree on, for their fingerprint: the claim and all that follows."""
-        schedule = self.schedule()
-        claim = self.model_dump(exclude_none=True)
-        if schedule is None:
-            return claim
-        a = schedule.assumption
-        lengths = sorted({schedule.length(b) for b in range(16)})
-        misses = [(n, a.misses(a.copies * n)) for n in lengths]
-        return {**claim, "largest": schedule.largest, "misses": misses}

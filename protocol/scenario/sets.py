@@ -7,7 +7,7 @@ from typing import Annotated, Final, Self
 from pydantic import BeforeValidator, model_validator
 
 from protocol.knowledge import NotNegative
-from protocol.scenario.parts import Positive, ScenarioTable, check_matrix
+from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape_problem
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 BOX_ROUNDING: Final = 1e-12
@@ -120,8 +120,11 @@ Resisted = Annotated[ConvexSet, BeforeValidator(_not_flat)]
 """A set of disturbances that the law's sets resist."""
 
 
-def compact_problem(field: str, s: SetTable, why: str = "") -> Iterator[str]:
-    """A line where a polytope has no interior or is unbounded."""
+def set_problem(field: str, s: SetTable | None, n: int) -> Iterator[str]:
+    """A line where a set is of other vectors, and where a polytope has no interior or no bound."""
+    if s is None:
+        return
+    yield from shape_problem(field, s.dimension, n)
     if s.half_widths is not None:
         return
     from protocol.convex import SetError
@@ -129,7 +132,7 @@ def compact_problem(field: str, s: SetTable, why: str = "") -> Iterator[str]:
     try:
         s.corners()
     except SetError as error:
-        yield f"{field}: {error}, expected a compact one{why}"
+        yield f"{field}: {error}, expected a compact one"
 
 
 @cache

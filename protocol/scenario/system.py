@@ -331,7 +331,7 @@ class Scenario(Brief, ScenarioTable):
             {
                 "A": self.A,
                 "B": self.B,
-                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "D_c": self.defender.disturbance,
                 "control": self.control.model_dump(
                     mode="json", exclude_none=True, exclude={"performance"}
                 ),
@@ -353,61 +353,36 @@ class Scenario(Brief, ScenarioTable):
         Compared over the management bus only: on the field bus it would let an eavesdropper test
         Eve's guesses.
         """
-        scheme, source = scheme_named(self.secrecy.scheme), source_of(self.secrecy.scheme)
-        own = (source,) if source else ()
-        keys = {} if self.keys is None else {"keys": self.keys.shared()}
-        # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
-        f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
-        hers = self.secrecy.disturbance
-        shape: dict[str, object] = (
-            {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
-        )
-        if self.defender.noise is not None:
-            shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
-        if self.defender.deviations is not None:
-            shape |= {"deviations": self.defender.deviations}
-        if self.plant.C is not None:  # what is predicted of a missed step follows the fallback
-            shape |= {
-                "C": self.plant.C,
-                "bounds": self.defender.bounds,
-                "fallback": self.link.fallback,
-                "K": self.control.gain if self.link.fallback == "regulator" else None,
-            }
+        scheme, defender, C = scheme_named(self.secrecy.scheme), self.defender, self.plant.C
+        missed = None
+        if C is not None:  # what is predicted of a missed step follows the fallback
+            fallback = self.link.fallback
+            missed = (fallback, self.control.gain if fallback == "regulator" else None)
         return _digest(
             {
-                **self.defence.shared(),
-                **keys,
-                **f_c,
-                **shape,
                 "rules": RULES_VERSION,
-                "scheme": (scheme.name, scheme.version, *own),
+                "scheme": (scheme.name, scheme.version, source_of(self.secrecy.scheme)),
                 "A": self.A,
                 "B": self.B,
-                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
-                "U": self.control.inputs.model_dump(exclude_none=True),
+                "C": (C, defender.bounds, missed),
+                "D_c": defender.disturbance,
+                "D_e": self.secrecy.disturbance,
+                "N": defender.noise,
+                "U": self.control.inputs,
                 "alpha": self.secrecy.alpha,
+                "deviations": defender.deviations,
+                "f_c in the offer": defender.model is not None,
                 "candidates": self.secrecy.candidates,
                 "period_s": self.plant.period_s,
+                "coin": self.defence.coin,
+                "keys": self.keys,
             }
         )
 
     def loop_fingerprint(self) -> str:
-        """SHA-256 (hex) over all that controller and plant work with: everything but the words.
-
-        Of the law's table and of the plant's only what is stated.
-        """
-        apart = {"plant", "control"}
+        """SHA-256 (hex) over all that controller and plant work with: everything but the words."""
         untold = {"description", "source", "tap", "attack"}
-        if self.defence == DefenceTable():
-            untold.add("defence")
-        if self.network is None:
-            untold.add("network")
-        rest = self.model_dump(mode="json", exclude={*untold, *apart})
-        for name in ("noise", "bounds", "deviations"):
-            if getattr(self.defender, name) is None:
-                del rest["defender"][name]
-        stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
-        return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
+        return _digest(self.model_dump(mode="json", exclude=untold))
 
     def identity(self) -> dict[str, str]:
         """What a recording says of the scenario it was made under, for a check to compare."""
@@ -428,7 +403,7 @@ class Scenario(Brief, ScenarioTable):
                 "design": DESIGN_VERSION,
                 "A": self.A,
                 "B": self.B,
-                "D_c": self.control_set.model_dump(exclude_none=True),
+                "D_c": self.control_set,
                 **self._noise(),
                 "control": control,
                 **self._own_law(),
@@ -441,7 +416,7 @@ class Scenario(Brief, ScenarioTable):
         if N is None:
             return {}
         C = {} if self.plant.C is None else {"C": self.plant.C, "bounds": self.defender.bounds}
-        return {"N": N.model_dump(), "of": D_c.model_dump(), **C}
+        return {"N": N, "of": D_c, **C}
 
     def _own_law(self) -> dict[str, str]:
         """The source of a law in a file of the user's."""
@@ -488,15 +463,11 @@ def _quiet(observer: BoxObserver) -> FiniteVector:
     return observer.quiet()
 
 
-def _as_floats(value: object) -> object:
-    """The same with every whole number as a float, as a table that knows its fields reads it."""
-    if isinstance(value, dict):
-        return {key: _as_floats(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_as_floats(item) for item in value]
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+def _stated(table: ScenarioTable) -> dict[str, object]:
+    """A table within a digest."""
+    return table.model_dump(mode="json", exclude_none=True)
 
 
 def _digest(value: object) -> str:
-    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), default=_stated)
     return hashlib.sha256(canonical.encode()).hexdigest()

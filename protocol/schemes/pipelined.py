@@ -14,15 +14,11 @@ keeps the new: at an agreement in every transition n of them carry n - 1 symbols
 Carry first, then test. A key still serves one message symbol, that of the very next transition.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.base import Carries, Carry, Scheme, check_verdict
+from protocol.schemes.base import Carry, Scheme, check_verdict
 from protocol.schemes.switched import INITIAL, MESSAGE, TEST, SwitchedState, check_state
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 class Pipelined(Scheme[SwitchedState]):
@@ -46,11 +42,3 @@ class Pipelined(Scheme[SwitchedState]):
     def tests(self, state: SwitchedState) -> bool:  # noqa: ARG002
         """In both states."""
         return True
-
-    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
-        """Every agreement counts; the key of the transition before is this one's pad."""
-        import numpy as np
-
-        pad = np.full_like(verdicts, NO_SYMBOL)
-        pad[1:] = verdicts[:-1]
-        return Carries(verdicts, pad, np.ones(verdicts.shape, dtype=bool))

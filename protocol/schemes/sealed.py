@@ -6,14 +6,10 @@ has no digit its symbol is random and carries nothing. What the test of a transi
 no account, so nothing is agreed by the paper's rule.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.base import COVER, Carries, Carry, Scheme, check_verdict
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from protocol.schemes.base import COVER, Carry, Scheme, check_verdict
 
 
 class SealedState(NamedTuple):
@@ -44,10 +40,3 @@ class Sealed(Scheme[SealedState]):
     def tests(self, state: SealedState) -> bool:  # noqa: ARG002
         """Never."""
         return False
-
-    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
-        """Nothing agreed, and nothing carried under a key of the automaton's."""
-        import numpy as np
-
-        none = np.full_like(verdicts, NO_SYMBOL)
-        return Carries(none, none, np.zeros(verdicts.shape, dtype=bool))

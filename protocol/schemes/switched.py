@@ -11,14 +11,10 @@ itself not tested. So a symbol takes two transitions at least.
   and the next ciphertext symbol is random.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.base import Carries, Carry, Scheme, check_verdict
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from protocol.schemes.base import Carry, Scheme, check_verdict
 
 TEST: Final = 1
 MESSAGE: Final = 2
@@ -73,16 +69,3 @@ class Switched(Scheme[SwitchedState]):
     def tests(self, state: SwitchedState) -> bool:
         """In state 1."""
         return state.s == TEST
-
-    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
-        """Agreements where the transition before did not agree; its key is this one's pad."""
-        import numpy as np
-
-        held = np.full((len(verdicts) + 1, *verdicts.shape[1:]), NO_SYMBOL, dtype=verdicts.dtype)
-        sign = 8 * held.itemsize - 1
-        for before, verdict, after in zip(held, verdicts, held[1:], strict=False):
-            # NO_SYMBOL is -1, all bits set: or-ed in where there is a key, it leaves no agreement
-            np.right_shift(before, sign, out=after)
-            np.invert(after, out=after)
-            np.bitwise_or(after, verdict, out=after)
-        return Carries(held[1:], held[:-1], held[:-1] == NO_SYMBOL)

@@ -1,6 +1,6 @@
 """Any scheme over arrays: its states numbered, what each verdict does to them looked up."""
 
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 
@@ -92,36 +92,22 @@ class StateTable:
             self._following[number, verdict + 1] = following
             self._agreed[number, verdict + 1] = carry.agreed
 
-    def advance_many(self, verdicts: Integers) -> Carries:
-        """See :func:`advance_many`."""
-        agreed, pad = np.empty_like(verdicts), np.empty_like(verdicts)
-        tested = np.empty(verdicts.shape, dtype=bool)
-        states: Integers = np.zeros(verdicts.shape[1:], dtype=np.int32)
-        for j, now in enumerate(verdicts):
-            pad[j], tested[j] = self.pad[states], self.tests[states]
-            following = self.following(states, now.astype(np.intp))
-            agreed[j] = self.agreed(states, now.astype(np.intp))
-            states = following
-        return Carries(agreed, pad, tested)
-
-
-@runtime_checkable
-class Vectorised(Protocol):
-    """A scheme that advances many runs by arithmetic of its own."""
-
-    def advance_many(self, verdicts: Integers) -> Carries: ...  # noqa: D102
-
 
 def advance_many(scheme: Scheme[Any], verdicts: Integers) -> Carries:
     """Advance over many runs at once, each from the initial state.
-
-    A scheme may bring an ``advance_many`` of its own; any other is looked up, state by state.
 
     Parameters
     ----------
     scheme : Scheme
     verdicts : integer array, shape (steps, ...)
     """
-    if isinstance(scheme, Vectorised):
-        return scheme.advance_many(verdicts)
-    return StateTable(scheme).advance_many(verdicts)
+    table = StateTable(scheme)
+    states = np.zeros((len(verdicts) + 1, *verdicts.shape[1:]), dtype=np.int32)
+    for before, verdict, after in zip(states, verdicts, states[1:], strict=False):
+        after[...] = table.following(before, verdict)
+    held = states[:-1]
+    return Carries(
+        table.agreed(held, verdicts).astype(verdicts.dtype),
+        table.pad[held].astype(verdicts.dtype),
+        table.tests[held],
+    )

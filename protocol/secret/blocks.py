@@ -131,32 +131,37 @@ class ClosedBlock(NamedTuple):
 
 
 class OpenBlock:
-    """A block under way. It takes rows as they come, so its last step costs no more than others."""
+    """A block under way. It takes rows as they come, so its last step costs no more than others.
+
+    Attributes
+    ----------
+    pattern : list of str
+        That of the closed block, as far as it goes; empty as long as it has no row.
+    """
 
     def __init__(self, assumption: Assumption) -> None:
         self._assumption = assumption
+        self._offers, self._measurements = assumption.counting(1) > 0, assumption.counting(2) > 0
         self._steps = 0
         self._nonces: list[bytes] = []
-        self._pattern: list[str] = []
-
-    @property
-    def empty(self) -> bool:
-        """Whether it has no row yet."""
-        return not self._pattern
+        self.pattern: list[str] = []
 
     def add(self, contribution: Contribution) -> None:
         """Add the row of the next transition."""
-        counts = self._assumption.counting(contribution.counts)
-        if counts & 1 and contribution.offer is not None:
-            self._nonces.append(contribution.offer)
-        if counts & 2 and contribution.measurement is not None:
-            self._nonces.append(contribution.measurement)
-        self._pattern.append(str(counts))
-        self._steps += contribution.steps
+        _, steps, offer, measurement = contribution
+        counts = 0
+        if offer is not None and self._offers:
+            self._nonces.append(offer)
+            counts = 1
+        if measurement is not None and self._measurements:
+            self._nonces.append(measurement)
+            counts += 2
+        self.pattern.append("0123"[counts])
+        self._steps += steps
 
     def close(self, session: str, number: int, last: int) -> ClosedBlock:
         """The closed block ``number``; the row of transition ``last`` was its last one."""
-        n, steps, counted = len(self._pattern), self._steps, len(self._nonces)
+        n, steps, counted = len(self.pattern), self._steps, len(self._nonces)
         return ClosedBlock(
             session,
             number,
@@ -164,7 +169,7 @@ class OpenBlock:
             steps,
             counted,
             self._assumption.rows(n, steps, counted),
-            "".join(self._pattern),
+            "".join(self.pattern),
             tuple(self._nonces),
             last,
             self._assumption.by_words,

@@ -23,7 +23,7 @@ WORDS: Final = NONCE_BYTES // 2
 """Words of 16 bits in a nonce, and in a row of a block."""
 
 SLICE: Final = 1 << 15
-"""Products made at once. They take a few hundred kilobytes, however large a block is."""
+"""Elements of the matrix at once. They take a few hundred kilobytes, however large a block is."""
 
 
 def cauchy(rows: int, columns: int, first: int = 0) -> Words:
@@ -75,7 +75,7 @@ def extract(nonces: Sequence[bytes], rows: int, by_words: bool = False) -> list[
     if by_words:
         x = x.reshape(-1, 1)
     out = np.zeros((shape[0] * shape[1] // x.shape[1], x.shape[1]), np.uint16)
-    step = max(1, SLICE // max(1, out.size))
+    step = max(1, SLICE // max(1, len(out)))
     for j in range(0, len(x), step):
         part = x[j : j + step]
         out ^= product(cauchy(len(out), len(part), j), part)

@@ -67,36 +67,3 @@ def product(a: Words, b: Words) -> Words:
         powers = exp.take(logs, mode="wrap")  # none is beyond the end: it spares the check
         out ^= np.bitwise_xor.reduce(powers, axis=0)
     return out
-
-
-def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
-    """Reduced row echelon form over the first ``columns`` columns, and its rank.
-
-    Parameters
-    ----------
-    matrix : array, shape (r, c)
-    columns : int, optional
-        Columns to look for pivots in; all by default. The others are carried along.
-
-    Returns
-    -------
-    tuple
-        The reduced matrix and its rank; from row ``rank`` on the first ``columns`` entries are 0.
-    """
-    rows = matrix.copy()
-    rank = 0
-    for j in range(rows.shape[1] if columns is None else columns):
-        places = np.flatnonzero(rows[rank:, j])
-        if not len(places):
-            continue
-        pivot = rank + int(places[0])
-        if pivot != rank:
-            rows[[rank, pivot]] = rows[[pivot, rank]]
-        rows[rank] = multiply(rows[rank], inverse(rows[rank, j]))
-        factors = rows[:, j].copy()
-        factors[rank] = 0
-        rows ^= multiply(factors[:, None], rows[rank][None, :])
-        rank += 1
-        if rank == rows.shape[0]:
-            break
-    return rows, rank

@@ -69,12 +69,13 @@ class Part(NamedTuple):
 
     def since(self, position: Position) -> "Part":
         """This part without the digits that stand before ``position``."""
-        if position <= (self.block, self.first):
+        block, first, digits = self
+        if position <= (block, first):
             return self
-        if position.block > self.block:
-            return self._replace(digits=b"")
-        gone = min(position.at - self.first, len(self.digits))
-        return Part(self.block, self.first + gone, self.digits[gone:])
+        if position.block > block:
+            return Part(block, first, b"")
+        gone = min(position.at - first, len(digits))
+        return Part(block, first + gone, digits[gone:])
 
 
 NO_PART: Final = Part(-1, 0, b"")
@@ -172,7 +173,8 @@ class KeyStream:
         on, whatever becomes of the offer.
         """
         newest = self._keys[-1].block if self._keys else self.part.block
-        after = max(self._after, Position(newest - BLOCKS + 1 + UNUSED, 0))
+        oldest = newest - BLOCKS + 1 + UNUSED
+        after = self._after if self._after.block >= oldest else Position(oldest, 0)
         for part in self._since(after):
             if part.block > up_to:
                 break
@@ -183,15 +185,17 @@ class KeyStream:
 
     def at(self, position: Position, count: int) -> tuple[int, ...] | None:
         """The ``count`` digits at a position, or None where they are not held."""
-        if position.block < 0:
+        of_block, number = position
+        if of_block < 0:
             return None
-        part = self.part
-        start = position.at - part.first
-        if position.block != part.block or not 0 <= start < len(part.digits):
-            part, start = next(self._since(position), NO_PART), 0
-            if part.begins != position:
+        block, first, digits = self.part
+        start = number - first
+        if of_block != block or not 0 <= start < len(digits):
+            block, first, digits = next(self._since(position), NO_PART)
+            if position != (block, first):
                 return None
-        found = part.digits[start : start + count]
+            start = 0
+        found = digits[start : start + count]
         return tuple(found) if len(found) == count else None
 
     def drop_before(self, position: Position) -> tuple[BlockKeys, ...]:

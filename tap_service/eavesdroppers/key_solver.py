@@ -1,4 +1,4 @@
-"""`key-solver`: goes for the keys. She solves each block's linear system for whatever it gives.
+"""`key-solver`: goes for the keys, and counts what can be computed of each block.
 
 She knows the claim, and so where blocks begin, how many rows they have and the matrix; which copies
 counted she reads off the messages, and takes each for counted of which she did not hear. A step
@@ -6,25 +6,21 @@ that the plant missed, and she did not hear so, she takes for a transition: her 
 by one, and `wyner score`, which reads the plant's trace, counts exactly.
 
 A block of R rows of which she missed e counted copies gives her R - e combinations of rows: none,
-where the claim holds. Where keys are made of words she counts what she holds in the same way, and
-computes keys of blocks alone that she heard all of. With the keys that she has she reads what
-travels under them (scheme `sealed`).
+where the claim holds, and no key by itself where she missed one. So she computes the keys of blocks
+that she heard all of, and reads what travels under them (scheme `sealed`).
 """
 
 from collections import deque
-from dataclasses import dataclass, field
-from typing import ClassVar, Final, NamedTuple
-
-import numpy as np
+from dataclasses import dataclass
+from typing import ClassVar, Final
 
 from protocol.knowledge import Knowledge
-from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.messages import FieldMessage, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer
-from protocol.secret.blocks import TAG_DIGITS, schedule_of
-from protocol.secret.extractor import WORDS, extract, words
-from protocol.secret.galois import Words
-from protocol.secret.key_digits import digits, digits_per_word
+from protocol.secret.blocks import schedule_of
+from protocol.secret.extractor import extract
+from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
 from protocol.secret.stream import NOWHERE, Position
 from tap_service.capture.transcript import Transition
@@ -38,11 +34,11 @@ from tap_service.eavesdroppers.base import (
     MessageSymbols,
     even,
 )
-from tap_service.inference.key_solver import KnownCombinations, bits_held, held, within
+from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, Audit, worst
 
 KEPT_BLOCKS: Final = 64
-"""Blocks that she has something of and keeps, and blocks that she tells of."""
+"""Blocks whose keys she keeps, and blocks that she tells of."""
 
 KEPT_SESSIONS: Final = 8
 """Sessions of which steps are kept that are not settled: the one before may have some, and a
@@ -50,9 +46,6 @@ message may be a stray."""
 
 KEPT_STEPS: Final = 8192
 """Steps of a session that are kept until they are settled: more than a transcript bridges."""
-
-SHOWN: Final = TAG_DIGITS // 4
-"""Words of row 0 that a public tag shows."""
 
 BOTH: Final = ("measurements", "offers")
 
@@ -66,38 +59,6 @@ class _Step:
     measurement: bytes | None = None
     offer_taken: int = 0
     measurement_taken: int = 0
-
-
-@dataclass(slots=True)
-class _Tags:
-    """The tags that the two ends have shown of a block, by message."""
-
-    shown: dict[type[Measurement | Offer], str] = field(default_factory=dict)
-
-    @property
-    def public(self) -> bytes:
-        """The tag, where both show the same: it is then a part of row 0, and no secret one."""
-        tags = set(self.shown.values())
-        return bytes.fromhex(tags.pop()) if len(self.shown) == 2 and len(tags) == 1 else b""
-
-
-class _Solved(NamedTuple):
-    """A block that she has something of."""
-
-    session: str
-    number: int
-    held: KnownCombinations
-
-    def known(self, rows: tuple[int, ...], place: int, tag: bytes) -> tuple[Words, Words]:
-        """Combinations of ``rows`` that she knows of their word ``place``, with the values."""
-        combinations, values = self.held.combinations, self.held.values[:, place : place + 1]
-        if tag and place < SHOWN:
-            row_0 = np.zeros((1, self.held.rows), np.uint16)
-            row_0[0, 0] = 1
-            word = int.from_bytes(tag[2 * place : 2 * place + 2])
-            combinations = np.vstack((combinations, row_0))
-            values = np.vstack((values, np.array([[word]], np.uint16)))
-        return within(combinations, values, rows)
 
 
 class KeySolver(Eavesdropper):
@@ -120,9 +81,7 @@ class KeySolver(Eavesdropper):
         directions = self._claim.directions
         self._misses = Audit(self._claim.eps_E, BOTH if directions == "both" else (directions,))
         self._steps: dict[str, dict[int, _Step]] = {}
-        self._tags: dict[tuple[str, int], _Tags] = {}
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
-        self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
         self._blocks = self._broken = self._bits = self._unplaced = 0
         self._j = -1  # number of the last transition; -1 where she did not hear a session's first
         self._last_k = -1
@@ -130,7 +89,7 @@ class KeySolver(Eavesdropper):
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
         self._open_steps = 0
         self._digits = knowledge.digits
-        self._keys: dict[tuple[str, int], tuple[bytes | None, ...]] = {}
+        self._keys: dict[tuple[str, int], tuple[bytes, ...]] = {}
         self._symbols: list[tuple[int, int]] = []
         self._frame = Deframer(self.size)
         self._whole: deque[bytes] = deque(maxlen=KEPT_BLOCKS)
@@ -151,12 +110,6 @@ class KeySolver(Eavesdropper):
                 step.measurement = as_bytes(message.nonce)
             if message.applied_k >= 0:
                 self._step(message.session, message.applied_k).offer_taken = message.applied_copy
-        if message.block >= 0:
-            at = (message.session, message.block)
-            shown = self._tags.setdefault(at, _Tags()).shown
-            shown[type(message)] = message.tag
-            if len(self._tags) > 2 * KEPT_BLOCKS:
-                del self._tags[next(iter(self._tags))]
 
     def _step(self, session: str, k: int) -> _Step:
         steps = self._steps[session] = self._steps.pop(session, {})  # in the order of last use
@@ -215,14 +168,14 @@ class KeySolver(Eavesdropper):
         rows = self._claim.rows(len(self._open), self._open_steps, len(nonces))
         if rows < 2:
             return  # it makes no key
-        missed = sum(nonce is None for nonce in nonces)
+        heard = [nonce for nonce in nonces if nonce is not None]
+        missed = len(nonces) - len(heard)
         bits = bits_held(rows, missed)
-        if bits and self._claim.by_words and not missed:
-            keys = words(extract([nonce for nonce in nonces if nonce], rows, by_words=True))
-            found = KnownCombinations(rows, 0, bits, np.eye(rows, dtype=np.uint16), keys)
-            self._solved.append(_Solved(session, number, found))
-        elif bits and not self._claim.by_words:  # by words the system is sixteen times as large
-            self._solved.append(_Solved(session, number, held(nonces, rows)))
+        if not missed:
+            _tag, *keys = extract(heard, rows, by_words=self._claim.by_words)
+            self._keys[session, number] = tuple(keys)
+            if len(self._keys) > KEPT_BLOCKS:
+                del self._keys[next(iter(self._keys))]
         block = HeldBlock(
             session=session, number=number, counted=len(nonces), rows=rows, missed=missed, bits=bits
         )
@@ -282,46 +235,12 @@ class KeySolver(Eavesdropper):
         """Digits of the key stream, where she can compute the keys that they come from."""
         at = position.at
         for key in self.keys_of(session, position.block):
-            if key is None:
-                per_word, values = digits_per_word(self.size)
-                if values != 1 << 32:  # how many digits the key gives depends on it
-                    return None
-                at -= 8 * per_word
-                if at < 0:
-                    return None
-                continue
             found = digits(key, self.size)
             if at < len(found):
                 return found[at : at + count] if at + count <= len(found) else None
             at -= len(found)
         return None
 
-    def keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
-        """The keys of a block, None for each that she cannot compute."""
-        for solved in self._solved:
-            if (solved.session, solved.number) == (session, number):
-                place = session, number
-                if place not in self._keys:
-                    rows = range(1, solved.held.rows)
-                    self._keys[place] = tuple(self._key(solved, row) for row in rows)
-                return self._keys[place]
-        return ()
-
-    def known_words(self, session: str, number: int, row: int) -> tuple[bytes | None, ...]:
-        """A block's key in words of two bytes, None for those that she cannot compute."""
-        for solved in self._solved:
-            if (solved.session, solved.number) == (session, number) and row < solved.held.rows:
-                return tuple(self._word(solved, row, place) for place in range(WORDS))
-        return (None,) * WORDS
-
-    def _key(self, solved: _Solved, row: int) -> bytes | None:
-        found = [self._word(solved, row, place) for place in range(WORDS)]
-        return b"".join(word for word in found if word) if all(found) else None
-
-    def _word(self, solved: _Solved, row: int, place: int) -> bytes | None:
-        combinations, values = solved.known((row,), place, self._tag(solved))
-        return int(values[0, 0]).to_bytes(2) if len(combinations) else None
-
-    def _tag(self, solved: _Solved) -> bytes:
-        tags = self._tags.get((solved.session, solved.number))
-        return b"" if tags is None else tags.public
+    def keys_of(self, session: str, number: int) -> tuple[bytes, ...]:
+        """The keys of a block, where she can compute them."""
+        return self._keys.get((session, number), ())

@@ -193,7 +193,8 @@ class BeamSmoother:
         self._nothing = np.diag((ANYWHERE * self._edge) ** 2)
         self._rng = np.random.default_rng(0)
         self.support = 1.0
-        self.exact = law is not None and law.shared and law.error <= EXACT * law.spread
+        self._shared = isinstance(law, AffineLaw) and law.shared
+        self.exact = law is not None and self._shared and law.error <= EXACT * law.spread
         self._spread(self._edge)
 
     def infer(self, transitions: Sequence[Transition]) -> list[InferredStep]:
@@ -294,12 +295,12 @@ class BeamSmoother:
         if t.candidates is not None:
             u, noise = np.array(t.candidates), self._noise
             size = len(u)
-            if noise and law is not None and law.shared:
+            if noise and isinstance(law, AffineLaw) and law.shared:
                 u, noise = law.averaged(u), noise / float(np.sqrt(size))
             A = np.broadcast_to(self._A, (count, size, self._n, self._n))
             c = np.broadcast_to(u @ self._B.T, (count, size, self._n))
             error = np.full(count, noise)
-            misread = np.full(count, bool(noise) and (law is None or not law.shared))
+            misread = np.full(count, bool(noise) and not self._shared)
             if law is not None and noise > law.error:
                 form = law.forms(now.means)[0]
                 which = now.lawful

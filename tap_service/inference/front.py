@@ -151,6 +151,8 @@ class Inference:
         self, law: PlanarLaw, kept: Sequence[Transition], runs: Sequence[list[Transition]]
     ) -> PlanarLaw | None:
         """The law of the right width; None where it does not explain the offers."""
+        if law.gap and self._noise:
+            return None
         offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
         law = matching(law, offers)
         pairs = [t for t in kept if t.x is not None and t.candidates is not None]
@@ -161,7 +163,7 @@ class Inference:
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
         if self._noise:
-            law = law if law.gap else law.likeliest(x, u, self._noise)
+            law = law.likeliest(x, u, self._noise)
             near = law.explains(x, u) <= BLURRED * law.blur(x, self._noise)
         else:
             law = law if law.gap else law.fitted(x, u)

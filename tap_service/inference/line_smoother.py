@@ -191,7 +191,7 @@ class LineSmoother:
                 return placed
         program = int(np.abs(self._law.free).sum(axis=1).argmax())
         lines = self._law.lines(program)
-        noise = self._noise / np.sqrt(self._law.size if self._law.gap else 1)
+        noise = self._noise
         read = np.full(len(C), answers[program])
         if noise:
             read = read + noise * self._rng.standard_normal(len(C))

@@ -141,30 +141,19 @@ class PlanarLaw:
         return np.array([offer[:, 0].mean()])
 
     @property
-    def shared(self) -> bool:
-        """Whether the candidates stand about one input."""
-        return bool(self.gap)
-
-    @property
     def error(self) -> float:
         """By how much an answer may be off."""
         return SLACK * self.spread
 
-    def averaged(self, u: Array) -> Array:
-        """An offer whose candidates share one input, each misread by itself, with that of all."""
-        out: Array = u.mean(axis=0) + self.offsets()[:, None]
-        return out
-
     def items(self, offer: Array, noise: float) -> list[Item]:
         """What an offer says of its state: by each piece that may have answered.
 
-        Programs that answered the same, read exactly, answered together.
+        Programs that answered the same answered together.
         """
         answers = self.solved(offer)
-        noise /= np.sqrt(self.size if self.gap else 1)
         together: list[list[int]] = []
         for p, answer in enumerate(answers.tolist()):
-            same = [g for g in together if not noise and abs(answers[g[0]] - answer) <= self.error]
+            same = [g for g in together if abs(answers[g[0]] - answer) <= self.error]
             if same:
                 same[0].append(p)
             else:
@@ -174,10 +163,9 @@ class PlanarLaw:
             answer = float(answers[programs[0]])
             pieces = np.unique(np.vstack([self.lines(p) for p in programs]), axis=0)
             level = np.abs(pieces[:, :2]).sum(axis=1) == 0
-            idle = abs(answer) <= self.error + 3 * noise
-            if not idle:
+            if abs(answer) > self.error:
                 pieces = pieces[~level]
-            elif level.any() and not noise:
+            elif level.any():
                 pieces = pieces[level]
             variance = noise**2 + (EXACT * self.spread) ** 2
             y = answer - pieces[:, 2:]
@@ -201,8 +189,6 @@ class PlanarLaw:
         """What an offer about states ``x``, shape (N, n), is: by the pieces there, or anything."""
         slopes = self._slopes(x)
         g = self.answers(x) - np.einsum("svn,sn->sv", slopes, x)
-        if self.gap:
-            slopes, g = np.repeat(slopes, self.size, axis=1), g + self.offsets()
         G, g = slopes[:, :, None], g[:, :, None]
         return [
             Form(float(np.log(1 - ASTRAY)), G, g, self.error),

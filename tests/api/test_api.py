@@ -64,7 +64,7 @@ def test_the_library_needs_nothing_that_linux_alone_has() -> None:
         "from wyner import design, eavesdrop, run\n"
         "eavesdrop(run(design('sustained'), steps=20, runs=1, seed=1))\n"
         "from wyner.cli.main import main\n"
-        "sys.exit(main(['up', '--headless']))\n"
+        "sys.exit(main(['up']))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False

@@ -27,7 +27,7 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
         "Hi",
     ]
     up = subprocess.Popen(
-        [*command, "--headless", "--run-dir", str(run)],
+        [*command, "--run-dir", str(run)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

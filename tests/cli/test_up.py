@@ -82,7 +82,7 @@ def test_a_run_that_ends_before_its_first_key_is_one_line(
     name: str, tmp_path: Path, capsys: Any
 ) -> None:
     run_dir = tmp_path / "run"
-    options = ["--scenario", name, "--run-dir", str(run_dir), "--headless"]
+    options = ["--scenario", name, "--run-dir", str(run_dir)]
     assert main(["up", *options, "--steps", "48"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
@@ -110,7 +110,7 @@ def test_a_claim_that_makes_no_key_is_one_line_before_anything_starts(
     file, run_dir = tmp_path / "changed.toml", tmp_path / "run"
     file.write_text(text.replace(old, new).replace(rest, ""), encoding="utf-8")
     options = ["--scenario", str(file), "--message", "hi", "--run-dir", str(run_dir)]
-    assert main(["up", "--headless", *options]) == 2
+    assert main(["up", *options]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1

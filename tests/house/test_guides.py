@@ -90,6 +90,17 @@ def test_the_attack_of_the_page_runs_live(
     assert "x1 in truth" in (run / "report.html").read_text()
 
 
+def test_the_tables_of_the_page_make_an_attack_on_a_scenario_visible(tmp_path: Path) -> None:
+    blocks = re.findall(r"^```toml\n(.*?)^```$", guide("Attacks"), re.DOTALL | re.MULTILINE)
+    own = tmp_path / "own.toml"
+    own.write_text((SCENARIOS / "packed.toml").read_text() + "\n".join(blocks))
+    scenario = load_scenario(own)
+    assert scenario.attack is not None
+    assert scenario.keys is not None
+    assert scenario.keys.refusal() is None
+    assert (scenario.defence.coin, scenario.tap.loss) == ("keys", scenario.keys.eps_E)
+
+
 def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
     name = f"{program('A scheme of your own', tmp_path, 'pairs.py')}:Pairs"
     scheme = make_scheme(name, 2)
@@ -133,7 +144,7 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(
     monkeypatch.chdir(tmp_path)
     assert main(["design", "own.toml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["law"] == "nearer.py:Nearer"
-    up = ["up", "--scenario", "own.toml", "--pace", "fast", "--headless", "--run-dir", "run"]
+    up = ["up", "--scenario", "own.toml", "--pace", "fast", "--run-dir", "run"]
     assert main([*up, "--message", "Hi", "--until-delivered"]) == 0
     assert main(["check", "run"]) == 0
     assert "PASS  admissible" in capsys.readouterr().out

@@ -82,7 +82,7 @@ def test_what_is_installed_and_no_more(wheel: Path) -> None:
 
 
 def test_a_run(away: Path) -> None:
-    options = ["--scenario", "sustained", "--pace", "fast", "--until-delivered", "--headless"]
+    options = ["--scenario", "sustained", "--pace", "fast", "--until-delivered"]
     out = wyner(away, "up", *options, "--message", "Hi")
     assert "bits by the paper's rule. True: at most" in out
     (run,) = (away / "runs").iterdir()

@@ -2,17 +2,14 @@
 
 import random
 from itertools import accumulate
-from math import inf, nextafter
+from math import nextafter
 from typing import Any
 
 import pytest
 
 from protocol.fates import Fates
-from protocol.link.channel import UNDER_WAY, Channel
-from protocol.link.effects import Notice, Publish
-from protocol.messages import ControllerHello, Measurement, Offer
+from protocol.link.channel import Channel
 from protocol.scenario.network import ChannelTable
-from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
 BAD_HALF: dict[str, Any] = {"loss_bad": 1.0, "to_bad": 0.4, "to_good": 0.5}
@@ -71,66 +68,3 @@ def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
     way = channel(loss=0.5)
     lost = [way.arrival(k, 0.0) is None for k in range(60)]
     assert lost == [FATES.at(k, 0)[0] < 0.5 for k in range(60)]
-
-
-# --- an end behind it -----------------------------------------------------------------------------
-
-
-def offer(k: int) -> Offer:
-    return Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
-
-
-HELLO = ControllerHello(
-    instance="a" * 16,
-    incarnation=1,
-    fingerprint="f" * 64,
-    verdict="greeting",
-    session=None,
-    answers=None,
-)
-
-
-@pytest.mark.parametrize("due", [0.5, 20.0])
-def test_an_offer_is_heard_when_it_arrives_and_a_hello_at_once(due: float) -> None:
-    end = Hearing(due, channel(delay="constant", delay_s=2.0))
-    for k in range(3):
-        end.receive(Offer, offer(k).wire(), float(k))
-    assert end.heard == []
-    end.receive(ControllerHello, HELLO.wire(), 2.0)
-    assert end.heard.pop() == (2.0, HELLO)
-    while len(end.heard) < 3:
-        end.wake(end.wake_at())
-    assert end.heard == [(k + 2.0, offer(k)) for k in range(3)]
-    assert end.woken == ([0.5] if due < 1 else []), "what was due before it goes first"
-
-
-def test_what_comes_at_once_is_heard_at_once_and_what_is_lost_never() -> None:
-    for way in (None, channel()):
-        end = Hearing(inf, way)
-        end.says_now = (HELLO,)
-        assert end.receive(Offer, offer(3).wire(), 1.0) == [Publish(HELLO)]
-        assert end.heard == [(1.0, offer(3))]
-    lossy = Hearing(inf, channel(loss=1.0))
-    assert lossy.receive(Offer, offer(3).wire(), 3.0) == ()
-    assert lossy.wake_at() == inf
-    assert lossy.heard == []
-
-
-def test_what_is_no_message_is_counted_at_once_and_takes_no_place_on_the_way() -> None:
-    end = Hearing(inf, channel(delay_s=2.0))
-    (said,) = end.receive(Offer, b"no offer", 2.0)
-    assert isinstance(said, Notice)
-    assert said.text.startswith("offer: ")
-    assert (end.malformed, end.heard, end.wake_at()) == (1, [], inf)
-    with pytest.raises(TypeError, match="Measurement"):
-        end.receive(Measurement, offer(3).wire(), 3.0)
-
-
-def test_the_network_keeps_so_many_messages_and_no_more() -> None:
-    end = Hearing(inf, channel(delay_s=2.0))
-    payload = offer(5).wire()
-    for _ in range(UNDER_WAY + 2):
-        end.receive(Offer, payload, 1.0)
-    for _ in range(UNDER_WAY + 2):
-        end.wake(3.0)
-    assert len(end.heard) == UNDER_WAY

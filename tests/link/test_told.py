@@ -397,7 +397,7 @@ STORIES: list[Callable[[Path], Story]] = [
     keys_differ,
     a_device_acts,
     the_plant_is_over,
-    *map(of, ("sealed", "watched", "encoder", "network", "pendulum", "paper", "st-mpc")),
+    *map(of, ("sealed", "watched", "encoder", "network", "motor", "paper", "pendulum", "st-mpc")),
 ]
 
 

@@ -4,13 +4,15 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from controller_service import service as controllers
 from controller_service.laws.base import CandidateLaw
-from controller_service.service import run_controllers
-from plant_service.service import run_plants
+from plant_service import service as plants
 from protocol.messages import (
     LATENCY_BOUNDS_S,
     ControllerStatus,
@@ -19,9 +21,11 @@ from protocol.messages import (
 )
 from protocol.topics import key_of
 from runtime import host
+from runtime.end_service import Open, run_fleet
 from runtime.errors import DONE, UsageError
 from runtime.fleet import Fleet, numbered, read_fleet
 from runtime.health import read_status
+from runtime.logs import logger
 from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.run_folder import (
@@ -98,15 +102,18 @@ class Hosts:
     def running(self, pace: str) -> Iterator[None]:
         stopping = threading.Event()
 
-        def controllers() -> None:
-            rest = Bounds(), Pace(pace), MemoryBus(self.field), MemoryBus(self.management), stopping
-            self.codes.append(run_controllers(self.fleet(), self.folder, lambda _: self.law, *rest))
+        def run(open_end: Open, name: str) -> None:
+            common = partial(dict[str, Any], bounds=Bounds(), pace=Pace(pace))
+            buses = MemoryBus(self.field), MemoryBus(self.management)
+            log = logger(name)
+            code = run_fleet(self.fleet(), self.folder, common, open_end, *buses, stopping, log)
+            self.codes.append(code)
 
-        def plants() -> None:
-            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.management), stopping
-            self.codes.append(run_plants(self.fleet(), self.folder, Pace(pace), *rest))
-
-        threads = [threading.Thread(target=one) for one in (controllers, plants)]
+        law = controllers.open_in_fleet(lambda _: self.law)
+        threads = [
+            threading.Thread(target=run, args=end)
+            for end in ((law, "controller"), (plants.open_in_fleet, "plant"))
+        ]
         for thread in threads:
             thread.start()
         try:

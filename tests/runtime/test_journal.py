@@ -353,7 +353,7 @@ def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", ["record = x'7b7d'", "id = 7", "record = NULL", "offer = x'7b7d'", "coin = 1"]
+    "change", ["step = x'7b7d'", "id = 7", "step = NULL", "step = zeroblob(40)", "check_ = 1"]
 )
 def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"

@@ -51,7 +51,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
         put = bus.publisher(key_of(PlantStatus, loop)).put
         put(status.model_copy(update={"k": 1}).wire())
         put(status.wire())
-    config = ControllerConfig(sustained, tmp_path / "a", "a", sustained_law)
+    config = ControllerConfig(sustained, tmp_path / "a", "a", law=sustained_law)
     controller, files = open_controller(config)
     files.close()
     told = status_of(controller).model_copy(update={"delivered": 2})

@@ -4,17 +4,13 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import Carry, Scheme, decrypt, encrypt
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.switched import INITIAL, MESSAGE, TEST, SwitchedState
-from protocol.schemes.table import StateTable
 
 
 @pytest.mark.parametrize("size", [2, 3, 16, 256])
@@ -79,14 +75,3 @@ def test_every_history_of_eight_transitions(name: str) -> None:
             assert len(recovered) == agreements
         else:
             assert 2 * len(recovered) <= len(verdicts)
-
-
-@given(st.lists(st.lists(st.integers(-1, 2), min_size=4, max_size=4), min_size=1, max_size=40))
-def test_many_runs_are_so_many_single_ones(rows: list[list[int]]) -> None:
-    verdicts = np.array(rows, dtype=np.int16).reshape(len(rows), 2, 2)
-    scheme = Pipelined(3)
-    many = scheme.advance_many(verdicts)
-    general = StateTable(scheme).advance_many(verdicts)
-    for ours, theirs in zip(many, general, strict=True):
-        assert (ours == theirs).all()
-        assert ours.dtype == theirs.dtype

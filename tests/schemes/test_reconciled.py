@@ -200,7 +200,7 @@ def test_live_sessions_end_with_their_words_and_the_check_holds(tmp_path: Path) 
     text = text.replace('"reconciled"', '"reconciled-31"').replace("spacing = 0.8", "spacing = 0.6")
     file.write_text(text, encoding="utf-8")
     found = wyner(
-        *("up", "--scenario", str(file), "--pace", "fast", "--headless", "--seed", "3"),
+        *("up", "--scenario", str(file), "--pace", "fast", "--seed", "3"),
         *("--message", "Q", "--steps", "1500", "--run-dir", str(run)),
     )
     assert found.returncode == 0, found.stderr

@@ -11,12 +11,12 @@ from protocol.secret.extractor import cauchy, extract, words
 from protocol.secret.galois import (
     ORDER,
     POLYNOMIAL,
-    eliminate,
     inverse,
     multiply,
     product,
     tables,
 )
+from tests.support.known_rows import eliminate
 
 ELEMENT = st.integers(0, ORDER)
 

@@ -8,7 +8,7 @@ from protocol.secret.blocks import OpenBlock
 from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extract
 from protocol.secret.nonces import Contribution
-from tap_service.inference.key_solver import held
+from tests.support.known_rows import held
 
 
 @pytest.mark.parametrize("seed", range(5))

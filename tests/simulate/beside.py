@@ -1,6 +1,10 @@
 """The two ends beside the engine, which does the same to the last bit; and through what fails."""
 
 from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
 
 from controller_service.laws.base import CandidateLaw
 from protocol.link.session import CountedTransition
@@ -12,27 +16,63 @@ from wyner.simulate.network import History, Simulation
 
 
 def beside_the_engine(
-    scenario: Scenario, law: CandidateLaw, steps: int, step_s: float | None
+    scenario: Scenario,
+    law: CandidateLaw,
+    steps: int,
+    *,
+    seed: int = 4,
+    run: int = 1,
+    folder: Path = Path(),
 ) -> list[CountedTransition]:
-    """The plant's transitions, whose readings, states, coins and symbols are the engine's; seed 4.
+    """The plant's transitions on a virtual clock, all of whose numbers are the engine's.
 
-    The controller has counted the same.
+    The engine makes another run beside it; the controller has counted the same.
     """
-    together = simulate_runs(scenario, law, seed=4, runs=range(2), steps=steps, record=True)
-    history = Simulation(scenario, law, seed=4, run=1, step_s=step_s).run(steps=steps)
-    link = transfer(together)
-    assert together.x is not None
-    assert together.truth is not None
+    record = simulate_runs(
+        scenario, law, seed=seed, runs=range(run, run + 2), steps=steps, record=True, folder=folder
+    )
+    link = transfer(record, payloads=[b"ok"])
+    ends = Simulation(
+        scenario,
+        law,
+        seed=seed,
+        run=run,
+        payloads=(b"ok",),
+        step_s=None if scenario.network is None else scenario.plant.period_s,
+        folder=folder,
+    )
+    history = ends.run(steps=steps)
+    assert record.x is not None
+    assert record.u is not None
+    assert record.candidates is not None
+    assert record.gauges is not None
     done = [t for t in history.plant.values() if t.k < steps]
-    assert len(done) > 30
+    missed = [] if record.missed is None else record.missed[:, 0].nonzero()[0].tolist()
+    assert history.missed == len(missed)
+    # the last offer may come after the last step
+    made = [k for k in range(steps) if k not in missed]
+    assert [t.k for t in done] == made[: len(done)]
+    assert len(made) - len(done) <= (record.missed is not None)
     for t in done:
-        assert t.x == tuple(together.x[t.k, :, 1])
-        assert t.x_next == tuple(together.x[t.k + 1, :, 1])
-        assert (t.coin, t.symbol) == (together.coin[t.k, 1], link.agreed[t.k, 1])
-        assert t.truth is not None
-        assert t.truth.x_next == tuple(together.truth[t.k + 1, :, 1])
+        assert t.x == tuple(record.x[t.k, :, 0])
+        assert t.candidates == tuple(map(tuple, record.candidates[t.k, :, :, 0].tolist()))
+        assert t.x_next == tuple(record.x[t.k + 1, :, 0])
+        assert t.verdict.gauges == tuple(record.gauges[t.k, :, 0])
+        assert t.coin == record.coin[t.k, 0]
+        assert t.cipher == link.cipher[t.k, 0]
+        assert (t.symbol, t.key) == (link.agreed[t.k, 0], link.pad[t.k, 0])
+        assert t.message_symbol == link.message_symbol[t.k, 0]
+        if record.truth is not None:
+            assert t.truth is not None
+            assert t.truth.x_next == tuple(record.truth[t.k + 1, :, 0])
     for at, t in history.controller.items():
         assert history.plant[at].shared == t.shared
+    x = record.x if record.truth is None else record.truth
+    assert record.state_cost == pytest.approx((x[1:] ** 2).sum(axis=(0, 1)))
+    assert record.input_effort == pytest.approx((record.u**2).sum(axis=(0, 1)))
+    Q, R = scenario.cost_weights
+    costs = np.einsum("knr,n->r", x[1:] ** 2, Q) + np.einsum("kmr,m->r", record.u**2, R)
+    assert record.cost == pytest.approx(costs)
     return done
 
 

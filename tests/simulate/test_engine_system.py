@@ -31,7 +31,7 @@ def system(name: str) -> tuple[Scenario, CandidateLaw]:
 
 def up(folder: Path, *options: str) -> None:
     """The three services as processes over Zenoh on loopback."""
-    command = [sys.executable, "-m", "wyner.cli.main", "up", "--headless", "--pace", "fast"]
+    command = [sys.executable, "-m", "wyner.cli.main", "up", "--pace", "fast"]
     command += ["--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

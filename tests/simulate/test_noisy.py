@@ -50,8 +50,7 @@ def test_the_engine_runs_as_the_two_ends_do(network: dict[str, Any] | None) -> N
     """Readings, coins and key symbols to the last bit, and the state itself; seed 4."""
     scenario = noisy() if network is None else noisy(network=network)
     _, law = law_of("noisy")
-    step_s = None if network is None else 0.1
-    for t in beside_the_engine(scenario, law, 100, step_s):
+    for t in beside_the_engine(scenario, law, 100):
         assert t.truth is not None
         assert max(np.abs(np.subtract(t.truth.x_next, t.x_next))) <= 0.02 + 1e-12
 

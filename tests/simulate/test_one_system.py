@@ -1,18 +1,16 @@
 """Shipped scenarios and variants: the engine's run is the cores', to the last bit."""
 
 import random
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
+from tests.simulate.beside import beside_the_engine
 from wyner.api import design, load, scenario_names
-from wyner.simulate.engine import Law, simulate_runs, transfer
-from wyner.simulate.network import Simulation
+from wyner.simulate.engine import simulate_runs
 
 STEPS = 60
 """Fewer than a block of keys has: from then on a keyed coin is the cores' alone."""
@@ -46,51 +44,11 @@ def without_keys() -> list[str]:
     return [n for n, s in found if s.secrecy.scheme != "sealed" and s.defence.coin == "private"]
 
 
-def compare(scenario: Scenario, law: Law, seed: int, run: int, folder: Path, steps: int) -> None:
-    """A run of the engine, among others, beside the cores' on a virtual clock."""
-    record = simulate_runs(
-        scenario, law, seed=seed, runs=range(run, run + 2), steps=steps, record=True, folder=folder
-    )
-    link = transfer(record, payloads=[b"ok"])
-    ends = Simulation(
-        scenario,
-        law,
-        seed=seed,
-        run=run,
-        payloads=(b"ok",),
-        step_s=None if scenario.network is None else scenario.plant.period_s,
-        folder=folder,
-    )
-    history = ends.run(steps=steps)
-    assert record.x is not None
-    assert record.u is not None
-    assert record.candidates is not None
-    assert record.gauges is not None
-    done = [t for t in history.plant.values() if t.k < steps]
-    missed = [] if record.missed is None else record.missed[:, 0].nonzero()[0].tolist()
-    assert [t.k for t in done] == [k for k in range(steps) if k not in missed]
-    for t in done:
-        assert t.x == tuple(record.x[t.k, :, 0])
-        assert t.candidates == tuple(map(tuple, record.candidates[t.k, :, :, 0].tolist()))
-        assert t.x_next == tuple(record.x[t.k + 1, :, 0])
-        assert t.verdict.gauges == tuple(record.gauges[t.k, :, 0])
-        assert t.coin == record.coin[t.k, 0]
-        assert t.cipher == link.cipher[t.k, 0]
-        assert (t.symbol, t.key) == (link.agreed[t.k, 0], link.pad[t.k, 0])
-        assert t.message_symbol == link.message_symbol[t.k, 0]
-    x = record.x if record.truth is None else record.truth
-    assert record.state_cost == pytest.approx((x[1:] ** 2).sum(axis=(0, 1)))
-    assert record.input_effort == pytest.approx((record.u**2).sum(axis=(0, 1)))
-    Q, R = scenario.cost_weights
-    costs = np.einsum("knr,n->r", x[1:] ** 2, Q) + np.einsum("kmr,m->r", record.u**2, R)
-    assert record.cost == pytest.approx(costs)
-
-
 @pytest.mark.parametrize("name", without_keys())
 def test_engine_and_cores_are_one_system(name: str) -> None:
     system, draw = design(name), random.Random(f"held out {name}")
     seed, run = draw.randrange(2**31), draw.randrange(5)
-    compare(system.scenario, system.law, seed, run, system.folder, STEPS)
+    beside_the_engine(system.scenario, system.law, STEPS, seed=seed, run=run, folder=system.folder)
 
 
 OWN_SHAPE = {"secrecy": {"alpha": 1.0, "disturbance": {"half_widths": [0.24, 0.96]}}}
@@ -100,7 +58,7 @@ OWN_SHAPE = {"secrecy": {"alpha": 1.0, "disturbance": {"half_widths": [0.24, 0.9
 @pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank"])
 def test_and_so_they_are_past_the_first_block_of_draws(name: str) -> None:
     system = design(name)
-    compare(system.scenario, system.law, 11, 2, system.folder, 300)
+    beside_the_engine(system.scenario, system.law, 300, folder=system.folder)
 
 
 @pytest.mark.parametrize("changes", [POLYTOPE, OWN_SHAPE, *DISTURBED])
@@ -110,6 +68,6 @@ def test_and_so_are_those_of_every_disturbance_and_set(changes: dict[str, Any]) 
         data[table] = data[table] | fields
     scenario = Scenario.model_validate(data)
     law = make_law(scenario, cached_design(scenario))
-    compare(scenario, law, 4, 3, Path(), 200)
+    beside_the_engine(scenario, law, 200)
     runs = simulate_runs(scenario, law, seed=4, runs=range(5), steps=200)
     assert set(runs.symbol.ravel()) > {NO_SYMBOL}

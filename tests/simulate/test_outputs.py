@@ -45,8 +45,7 @@ def test_the_engine_is_the_two_ends_to_the_last_bit(
     changes: dict[str, Any] = {"link": {"fallback": fallback}}
     scenario = encoder(**(changes if network is None else changes | {"network": network}))
     _, law = law_of("encoder")
-    step_s = None if network is None else 0.1
-    assert all(held(t) for t in beside_the_engine(scenario, law, size(60, 150), step_s))
+    assert all(held(t) for t in beside_the_engine(scenario, law, size(60, 150)))
 
 
 @pytest.mark.parametrize("network", [None, LOSSES])

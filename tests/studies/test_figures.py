@@ -15,7 +15,7 @@ from studies.__main__ import main
 from studies.figures import FIGURES, draw
 from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.registry import origin, pages, recorded, stale, studies
+from studies.registry import origin, recorded, stale, studies
 from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row
 from wyner.sweeps.results import read_table
@@ -117,31 +117,10 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     assert figures(["network", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_data_that_are_not_whole_are_told_in_a_line(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = FIGURES[name].data
-    for file in files:
-        for other in files:
-            shutil.copy(DATA / f"{other}.csv", tmp_path)
-        path = tmp_path / f"{file}.csv"
-        whole = path.read_bytes()
-        header = whole.index(b"\n") + 1
-        for data in (b"", whole[:header], whole[: header + 3], b"a,b\n1,2\n", b"a\n\xff\n"):
-            path.write_bytes(data)
-            command = [name, "--data", str(tmp_path), "--output", str(tmp_path / "o")]
-            assert figures(command) == 1, data
-            (line,) = capsys.readouterr().err.splitlines()
-            assert line.startswith("wyner: ")
-            assert str(path) in line
-            assert "unexpected" not in line
-
-
 def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
-    one = studies()["widths"]
-    path = tmp_path / "widths.csv"
-    rows = recorded("widths")
+    one = studies()["network"]
+    path = tmp_path / "network.csv"
+    rows = recorded("network")
     path.write_text(
         "\n".join([",".join(one.head), *(",".join(row.values()) for row in rows), ""]).replace(
             rows[0]["version"], one.version
@@ -149,25 +128,20 @@ def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     )
     assert list(stale(tmp_path)) == []
     path.write_text(path.read_text().replace(one.version, "1.0.0+00000001"))
-    told = f"widths.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
+    told = f"network.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
     assert list(stale(tmp_path)) == [told + one.version]
 
 
 def test_a_page_says_that_its_rows_are_of_other_code() -> None:
-    one = studies()["widths"]
-    rows = [row | {"version": one.version} for row in recorded("widths")]
+    one = studies()["network"]
+    rows = [row | {"version": one.version} for row in recorded("network")]
     hash_ = one.version.partition("+")[2]
-    assert origin({"widths": rows}) == f"Rows of code {hash_}."
+    assert origin({"network": rows}) == f"Rows of code {hash_}."
     rows[3]["version"] = "1.0.0+00000001"
-    assert origin({"widths": rows}) == (
+    assert origin({"network": rows}) == (
         f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
         "of the code."
     )
-
-
-def test_every_page_has_its_tables_as_the_data_have_them() -> None:
-    for path, text in pages().items():
-        assert path.read_text(encoding="utf-8") == text, "run: python -m studies tables"
 
 
 def without_version(path: Path) -> list[Row]:

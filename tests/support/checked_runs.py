@@ -63,7 +63,6 @@ def _run_with_keys(folder: Path) -> None:
             message="hi",
             pace=pace,
             steps=STEPS,
-            headless=True,
             json=True,
             run_dir=str(folder),
         )

@@ -198,8 +198,8 @@ class RecordedPair(Pair):
                 self.scenario,
                 self.folder,
                 "loop",
-                self._law,
-                self._message,
+                law=self._law,
+                message=self._message,
                 clear_alarm=self._clear_alarm,
                 **more,
             )

@@ -114,7 +114,7 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
 def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     process = subprocess.Popen(
-        [*WYNER, "up", "--pace", "x10", "--headless", "--run-dir", str(run_dir)],
+        [*WYNER, "up", "--pace", "x10", "--run-dir", str(run_dir)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

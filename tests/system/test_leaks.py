@@ -155,7 +155,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     arguments = ["--scenario", str(scenario), "--message", f"@{file}"]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
+        [sys.executable, "-m", "wyner", "up", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

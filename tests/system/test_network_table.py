@@ -41,7 +41,7 @@ def test_a_live_loop_misses_every_step_that_the_table_takes(name: str, tmp_path:
     text = (SCENARIOS / "sustained.toml").read_text()
     file, run_dir = tmp_path / f"{name}.toml", tmp_path / "run"
     file.write_text(f"{text}\n[network.to_controller]\n{up}\n[network.to_plant]\n{down}")
-    run = ["up", "--scenario", str(file), "--run-dir", str(run_dir), "--headless"]
+    run = ["up", "--scenario", str(file), "--run-dir", str(run_dir)]
     assert main([*run, "--steps", str(STEPS), "--seed", str(SEED)]) == 0
     made = {e["k"] for e in events_of(run_dir / PLANT_TRACE, "transition")}
     taken = missed_steps(load_scenario(file), seed=SEED, runs=range(1), steps=STEPS)

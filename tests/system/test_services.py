@@ -68,7 +68,12 @@ class System:
     ) -> Iterator[ControllerService]:
         """With another name, one with a run folder of its own."""
         config = ControllerConfig(
-            scenario or self.scenario, self.folder(name), "loop", self.law, message, seed=1
+            scenario or self.scenario,
+            self.folder(name),
+            "loop",
+            law=self.law,
+            message=message,
+            seed=1,
         )
         with self._running(name, lambda stopping: ControllerService(
             config, MemoryBus(self.field), MemoryBus(self.management), stopping

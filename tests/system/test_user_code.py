@@ -57,7 +57,7 @@ def up(
     (folder / "own.toml").write_text(text.replace(old, own).replace("[secrecy]", secrecy))
     return subprocess.run(
         [
-            *(sys.executable, "-m", "wyner", "up", "--scenario", "own.toml", "--headless"),
+            *(sys.executable, "-m", "wyner", "up", "--scenario", "own.toml"),
             *("--pace", "fast", "--run-dir", "run"),
         ],
         cwd=folder,

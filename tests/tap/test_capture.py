@@ -3,9 +3,6 @@
 import errno
 import logging
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -488,39 +485,3 @@ def test_part_names_sort_and_other_files_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "guesses.jsonl").write_bytes(b"")
     names = [p.name for p in parts_of(base)]
     assert names == [part_path(base, n).name for n in (0, 1, 2, 10)]
-
-
-WRITER = """
-import logging, sys
-from pathlib import Path
-from protocol.messages import Measurement
-from runtime.recording import Bounds
-from tap_service.capture.recording import RotatingLog, mirror_line
-log = RotatingLog(Path(sys.argv[1]), {}, Bounds(free_bytes=0), logging.getLogger())
-k = 0
-while True:
-    m = Measurement(session="0" * 16, k=k, x=(0.5,), applied_k=-1, x_after=())
-    log.write(mirror_line(k, m.topic, m.wire()))
-    k += 1
-    if k % 100 == 0:
-        log.flush()
-        print(k, flush=True)
-"""
-
-
-def test_what_was_written_survives_kill_9(tmp_path: Path) -> None:
-    path = tmp_path / CAPTURE
-    process = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    told = 0
-    while told < 1000:
-        told = int(process.stdout.readline())
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
-    reader, messages = read(path)
-    assert [m.k for m in messages] == list(range(len(messages)))
-    assert len(messages) >= told
-    assert reader.torn <= 1

@@ -238,17 +238,6 @@ def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
 # --- the interface -------------------------------------------------------------------------------
 
 
-def test_the_documented_eavesdropper_runs() -> None:
-    file = Path(__file__).resolve().parents[2] / "examples" / "own" / "near.py"
-    assert len(file.read_text().splitlines()) <= 40
-    kind = named(f"{file}:Near")
-    run = simulate(300, 1)
-    said = output_about(kind(run.scenario.knowledge()), heard_by(run, View(loss=0.05)))
-    scored = score(run.truth, said)
-    assert scored.keys.of > 30
-    assert 0.2 < (scored.keys.share or 0) < 1.0
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

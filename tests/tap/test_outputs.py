@@ -98,17 +98,6 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
             assert found.right > 0.97 * found.agreements
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["text"])
-def test_who_fits_how_far_sensors_scatter_reads_it_too(
-    runs: Runs, link: Transfer, name: str
-) -> None:
-    for place in range(size(1, 2)):
-        (found,) = listen(runs, link, [name], place)
-        assert (found.delivered, found.read) == (1, 1)
-        assert found.right > 0.97 * found.agreements
-
-
 @pytest.mark.parametrize("name", ["nearest-centre", "list-decoder", "text"])
 def test_by_readings_she_names_the_message_symbols(
     name: str, scenario: Scenario, runs: Runs, link: Transfer

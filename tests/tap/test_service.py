@@ -7,9 +7,6 @@ import logging
 import os
 import random
 import signal
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,16 +16,12 @@ import pytest
 from protocol.messages import (
     FIELD,
     FieldMessage,
-    Measurement,
-    Message,
     Offer,
     TapStatus,
 )
 from protocol.topics import key_of
-from runtime.addresses import free_endpoints
 from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
-from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import Run, simulate
 from tap_service import beside
 from tap_service import service as tap
@@ -389,50 +382,3 @@ def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIEN
     while not condition():
         assert time.monotonic() < deadline, f"no {what} within {timeout_s} s"
         time.sleep(0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.integration
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> None:
-    field, adversary = free_endpoints(2)
-    command = [sys.executable, "-m", "wyner", "tap", "--scenario", "sustained"]
-    command += ["--run-dir", str(tmp_path), "--eavesdropper", "nearest-centre,oracle"]
-    command += [
-        "--connect",
-        f"field={field}",
-        "--listen",
-        f"adversary={adversary}",
-    ]
-    statuses: list[TapStatus] = []
-    arrived = threading.Event()
-
-    def watch(_key: str, payload: bytes, _t_ns: int) -> None:
-        statuses.append(TapStatus.model_validate_json(payload))
-        if statuses[-1].mirrored >= len(run.messages):
-            arrived.set()
-
-    with ZenohBus(listen=[field]) as sender, ZenohBus(connect=[adversary]) as watcher:
-        watcher.subscribe(key_of(TapStatus, "loop"), watch)
-        put = {kind: sender.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)}
-        process = subprocess.Popen(command, stderr=subprocess.PIPE)
-        try:
-            wait_for(lambda: all(p.matched for p in put.values()), "match")
-            wait_for(lambda: bool(statuses), "first status")
-            for message in run.messages:  # paced: what nobody takes in time is dropped
-                put[type(message)].put(message.wire())
-                time.sleep(0.001)
-            wait_for(arrived.is_set, "status of all messages")
-            process.send_signal(how)
-            assert process.wait(PATIENCE_S) == (-9 if how == signal.SIGKILL else 0)
-        finally:
-            if process.poll() is None:
-                process.kill()
-            _, errors = process.communicate()
-    assert b"Traceback" not in errors
-    reader = CaptureReader(tmp_path)
-    mirrored = sorted((m for _, m in reader.records()), key=Message.wire)
-    assert mirrored == sorted(run.messages, key=Message.wire)
-    assert statuses[-1].steps == 300
-    assert {s.name for s in statuses} == {"nearest-centre", "oracle"}
-    assert [p.name for p in tmp_path.iterdir()] == ["tap"]

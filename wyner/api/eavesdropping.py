@@ -17,14 +17,14 @@ class TapScore:
     ----------
     name : str
     keys : Interval
-        Share of the agreed key symbols that she knew at once, with its 95 % interval over runs; a
-        blind guess has 1/M. What she knows counts, not how she names it: symbols count as named
-        unless one relabelling for a whole run is shown to be better. Fewer than five runs have no
-        limits (NaN), and where none was agreed, or where she does not guess, there is no share.
+        Share of the agreed key symbols that Eve knew at once, with its 95 % interval over runs; a
+        blind guess has 1/M. Symbols count as named, unless one relabelling for a whole run is shown
+        to be better. Fewer than five runs have no limits (NaN). Where none was agreed, or where Eve
+        does not guess, there is no share.
     agreements, right, known : int
-        Key symbols that were agreed, that she named right at once, and that she knew.
+        Key symbols that were agreed, that Eve named right at once, and that Eve knew.
     delivered, read : int
-        Whole messages that the plant recovered, and how many of them she had in the end.
+        Whole messages that the plant recovered, and how many of them Eve had in the end.
     """
 
     name: str
@@ -56,7 +56,7 @@ def eavesdrop(
     KnowledgeError
         When there is no such eavesdropper.
     EavesdropperError
-        When one raises; it names her and the step.
+        When one raises; its text has name and step.
     """
     if isinstance(eavesdroppers, str | type):
         eavesdroppers = [eavesdroppers]

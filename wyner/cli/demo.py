@@ -80,7 +80,7 @@ def run_demo(args: argparse.Namespace) -> int:
     Parameters
     ----------
     args : argparse.Namespace
-        Of ``wyner up``: ``headless``, ``json`` and ``run_dir`` are used.
+        Of ``wyner up``: ``json`` and ``run_dir`` are used.
     """
     told = _acts(args)
     if told.interrupted:
@@ -169,7 +169,6 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, slower: int)
         pace=f"x{PACE / slower:g}",
         steps=MOST_STEPS,
         until_delivered=True,
-        headless=args.headless,
         json=args.json,
     )
 
@@ -210,7 +209,7 @@ def _keys(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
 
 
 def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
+    """The same with a tap that hears all: nothing may be claimed of it, and no key comes out."""
     changes = {**HEARS_ALL, "keys.eps_E": 0.0}
     with _scenario("wired-tap", "keys", changes) as scenario:
         options = _options(args, scenario, folder, told.slower)
@@ -227,7 +226,7 @@ def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
 
 
 def _caught(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
+    """A ghost at the sensor; Eve does not have the key that chooses the input."""
     with _scenario("secret-key", "watched", LISTENED) as scenario:
         options = _attacked(args, scenario, folder, told.slower)
         outcome = run_session(options, stays=False, title=TITLES["caught"])

@@ -24,7 +24,6 @@ OF_A_PLANT: Final = (
     "steps",
     "seed",
     "amplitude",
-    "noise",
 )
 """Options that say how a plant is run."""
 
@@ -63,13 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="share of sessions (0.05) or of recorded steps (0.01) that may leave D_c",
     )
-    parser.add_argument(
-        "--noise",
-        type=float,
-        metavar="K",
-        help="take the sensors' noise N from the readings: K standard deviations of it; "
-        "else defender.noise counts as stated",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     recorded = (args.states, args.inputs, args.period) != (None, None, None)
     if not recorded and Path(args.scenario).suffix.lower() in (".csv", ".mat"):
         raise UsageError(
-            f"{args.scenario}: a recording wants --states NAMES, --inputs NAMES and --period S"
+            f"{args.scenario}: a recording wants --states a,b and --inputs u, its columns, and "
+            "--period S"
         )
     found = _fit_recording(args) if recorded else _fit_plant(args)
     with writing(f"--output: {args.output}"):
@@ -205,8 +198,6 @@ def _plan(args: argparse.Namespace) -> "Plan":
     plan = Plan(**given)
     for name in ("amplitude", "violation"):
         _check_share(name, getattr(plan, name))
-    if args.noise is not None and not 0 < args.noise < float("inf"):
-        raise UsageError(f"--noise: got {args.noise:g}, expected above 0")
     try:
         rank(plan.calibration, plan.violation)
     except ValueError as error:

@@ -82,7 +82,7 @@ def run_session(
         What the screen's first line begins with.
     """
     from runtime.zenoh_bus import ZenohBus
-    from wyner.dashboard.app import Ending, has_screen, run_dashboard
+    from wyner.dashboard.app import STOPPING, Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
@@ -118,7 +118,7 @@ def run_session(
         return (epilogue or verdict_lines)(summary)
 
     watching = Progress(until_delivered=options.until_delivered, supervisor=supervisor)
-    screen = not options.headless and not options.json and has_screen()
+    screen = not options.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
     management_ends = [loop.plant_management, loop.controller_management]
@@ -150,6 +150,8 @@ def run_session(
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     finally:
+        if not summary:
+            print(f"wyner: {STOPPING}", file=sys.stderr, flush=True)
         conclude()
     try:
         seal(run_dir, json.dumps(summary, indent=2).encode() + b"\n")

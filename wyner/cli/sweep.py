@@ -69,6 +69,10 @@ def run(args: argparse.Namespace) -> int:
         points = points_of(sweep, path.parent)
         output = Path(args.output or f"runs/sweeps/{sweep.name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
+        if args.plot is not None and output.exists() and not args.resume:
+            raise UsageError(
+                f"{output}: exists; `wyner sweep {output} --plot` draws it, --resume goes on"
+            )
         with writing(f"--output: {output}"):
             results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:

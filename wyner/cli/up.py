@@ -15,7 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Start controller, plant and tap as processes of this machine, watch them on a screen, and "
-        "sum up what the plant and each eavesdropper got. In the screen, ? shows the keys."
+        "sum up what the plant and each eavesdropper got. In the screen, ? shows the keys; without "
+        "a terminal (wyner up | cat) there are lines."
     )
     parser.add_argument(
         "--demo",
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     return FAILED if outcome.scenario.keys is not None and outcome.scenario.keys.refusal() else DONE
 
 
-TAKEN_BY_DEMO: Final = ("headless", "json", "run_dir")
+TAKEN_BY_DEMO: Final = ("json", "run_dir")
 """Options that the demonstration takes; its runs choose the others."""
 
 

@@ -20,7 +20,7 @@ from wyner.dashboard.view import ViewState, screen
 REFRESH_S: Final = 0.25
 """Time between two pictures; a key is answered at once."""
 
-STOPPING: Final = "The run is over, and its services stop. Eve finishes reading its recording."
+STOPPING: Final = "The run is over, and its services stop. Eve reads the rest of its recording."
 GO_ON: Final = "Space goes on.  q leaves."
 LEAVE: Final = "The run is over.  Any key leaves; ? helps to read it first."
 """What the last line says while a caption is shown."""

@@ -31,9 +31,6 @@ COUNTED: Final = (
 )
 """Said once, before the first figure."""
 
-LINES_AT_ONCE: Final = 12
-"""Lines printed for one look at the messages; what is beyond is counted in a line."""
-
 Fact = tuple[str, Hashable, str]
 """What it is about, its value, and the line that tells it; it is told when the value changes."""
 
@@ -47,15 +44,12 @@ class Reporter:
         self._at: tuple[str, int] | None = None
 
     def report(self, state: State, now_ns: int) -> list[str]:
-        """At most `LINES_AT_ONCE` lines of events and one more, then progress if it is due."""
+        """A line for each event, then progress if it is due."""
         lines = []
         for about, value, line in facts(state):
             if self._told.get(about) != value:
                 self._told[about] = value
                 lines.append(line)
-        if len(lines) > LINES_AT_ONCE:
-            more = len(lines) - LINES_AT_ONCE
-            lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
         now = (state.plant.session, state.plant.k) if state.plant is not None else None
         if now is None or now == self._at or now_ns < self._next_ns:
             return lines
@@ -80,43 +74,33 @@ def facts(state: State) -> Iterator[Fact]:
     if plant is not None:
         if plant.attack:
             yield "attack", plant.attack, f"attack: {plant.attack}"
-        if n := plant.symbol_errors:
+        if plant.symbol_errors:
             why = " (its sensor is being attacked)" if plant.attack else ""
-            keys = f"{n} {'key' if n == 1 else 'keys'}"
-            yield "wrong", n, f"step {plant.k}: {keys} so far not the plant's input{why}"
-        if n := plant.frames_refused:
-            yield "refused", n, f"step {plant.k}: {n} frames so far refused by their check"
+            yield "wrong", True, f"step {plant.k}: a key is not the plant's input{why}"
         if n := plant.messages:
             at = f" at step {plant.message_k}" if plant.message_k >= 0 else ""
             yield "message", n, f"message {n} recovered{at}: {_quoted(plant.last_message)}"
     for name, tap in state.taps.items():
-        yield from _of_tap(printable(name), tap, state)
+        yield from _of_tap(printable(name), tap)
     if (hers := attacker(state)) is not None:
         if hers.key_bits_held:
             bits = f"tap {printable(hers.name)} holds {hers.key_bits_held} bits of keys"
             yield "bits held", True, bits
         for text in contradictions(state):
             yield text.partition(":")[0], True, printable(text)
-    if state.malformed:
-        yield "malformed", state.malformed, f"{state.malformed} messages so far were malformed"
 
 
-def _of_tap(name: str, tap: TapState, state: State) -> Iterator[Fact]:
+def _of_tap(name: str, tap: TapState) -> Iterator[Fact]:
     yield f"tap {name}", True, f"tap {name} listens"
     failed, solved = tap.status.failed, tap.status.solved_k
     if failed:
         yield f"{name} failed", failed, f"tap {name} FAILED: {printable(failed)}"
     if tap.exact:
-        unsure = "" if solved >= 0 else ", and is not sure yet"
-        line = f"tap {name} holds the true message{unsure}: {_quoted(tap.status.message)}"
-        yield f"{name} exact", True, line
+        yield f"{name} exact", True, f"tap {name} has the message: {_quoted(tap.status.message)}"
     if solved >= 0:
-        judged = "and it is the true one" if tap.exact else "but it is not a true one"
-        if not state.texts:  # a replay: nobody here knows the truth
-            judged = _quoted(tap.status.message)
-        known = tap.watched or not state.texts
-        line = f"tap {name} was sure of a message at step {solved}"
-        yield f"{name} sure", solved, f"{line}, {judged}" if known else line
+        wrong = tap.watched and not tap.exact
+        judged = ", but it is not a true one" if wrong else ""
+        yield f"{name} sure", solved, f"tap {name} was sure of a message at step {solved}{judged}"
 
 
 def progress(state: State) -> str:
@@ -127,18 +111,24 @@ def progress(state: State) -> str:
     distilled = state.model is not None and bool(state.model.keys_claim)
     # `sealed` agrees on no key symbol: its message travels under distilled keys
     agreed = [f"keys {plant.agreements}"] if plant.agreements or not distilled else []
+    troubles = {
+        "wrong keys": plant.symbol_errors,
+        "frames refused": plant.frames_refused,
+        "malformed": state.malformed,
+    }
     parts = [
         f"step {plant.k}",
         f"x ({', '.join(component(v) for v in plant.x)})",
         *agreed,
         f"missed {plant.missed}",
+        *(f"{what} {n}" for what, n in troubles.items() if n),
         rate_in_words(state),
         f"recovered {recovered}/{sent} {_quoted(state.recovered)}",
     ]
     if distilled:
         parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
-    if state.attacked:
-        parts.append(f"x as reported, truly {component(state.away)} away")
+    if state.away:
+        parts.append(f"the plant is {component(state.away)} from the x reported")
     if state.alarms:
         parts.append(state.alarms)
     its = secrecy(state)

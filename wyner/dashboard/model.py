@@ -103,20 +103,12 @@ class State:
         return "" if self.controller is None else self.controller.alarm_sentence()
 
     @property
-    def complete(self) -> bool:
-        """Whether both ends, the plant's model and a tap were received."""
-        return None not in (self.model, self.plant, self.controller) and bool(self.taps)
-
-    @property
-    def attacked(self) -> bool:
-        """Whether the plant's true state is known to differ from the reported one."""
-        return bool(self.true_states)
-
-    @property
     def away(self) -> float:
-        """The largest component of the true state, for an attacked plant."""
-        true = self.true_states[max(self.true_states)] if self.true_states else ()
-        return max(map(abs, true), default=0.0)
+        """How far an attacked plant's true state is from the one reported, by component at most."""
+        k = max(self.true_states, default=-1)
+        reported = self.states.get(k, ())
+        true = self.true_states.get(k, ())
+        return max((abs(a - b) for a, b in zip(true, reported, strict=False)), default=0.0)
 
     received: int = 0
     refused: int = 0

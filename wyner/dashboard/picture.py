@@ -18,9 +18,6 @@ from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, longest
 
 BARS_AT_MOST: Final = 16
 
-NARROWEST: Final = 8
-"""Cells below which half a bar is not drawn."""
-
 BESIDE: Final = 22
 """Cells of a line beside its bar: the candidate's number, the gauge and what it means."""
 
@@ -64,7 +61,7 @@ def agreement(
 
 def _bars(model: PlantModel, gauges: Sequence[float], width: int, most: int) -> list[Text]:
     """A line for each of the nearest candidates, and a line that names the marks."""
-    half = max(NARROWEST, (width - BESIDE) // 2)
+    half = (width - BESIDE) // 2
     alpha = spread(model)
     nearest = sorted(range(len(gauges)), key=lambda i: (gauges[i], i))[:most]
     lines = []

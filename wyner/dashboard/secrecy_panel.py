@@ -4,20 +4,18 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from rich.cells import cell_len
 from rich.text import Text
 
 from wyner.dashboard.model import State, TapState
-from wyner.dashboard.parts import LABEL, VALUE_AT, Column, fitting, labelled, line, table
+from wyner.dashboard.parts import VALUE_AT, labelled, line
 from wyner.dashboard.score import (
     Score,
     SecrecyScore,
     attacker,
     characters_right,
     contradictions,
-    model_error,
 )
-from wyner.dashboard.text import LEVELS, STYLES, count, drawn, figure, longest, number, percent
+from wyner.dashboard.text import LEVELS, STYLES, count, drawn, figure, longest, percent
 
 BARS: Final = 30
 """Cells of the bar of the bits that the paper's rule counts."""
@@ -28,7 +26,7 @@ def amounts(its: SecrecyScore, width: int) -> list[Text]:
     claimed = f"{its.claimed_bits:.0f} bit"
     left = "unknown" if its.left_bits is None else f"{its.left_bits:.0f} bit"
     figures = max(len(claimed), len(left))
-    bars = max(0, min(BARS, width - VALUE_AT - figures - 28))
+    bars = min(BARS, width - VALUE_AT - figures - 28)
     share = (its.left_bits or 0.0) / its.claimed_bits if its.claimed_bits else 0.0
     true = line(LEVELS[-1] * min(bars, math.ceil(bars * share)), STYLES["true"])
     true.append(" " * (bars - true.cell_len) + f" {left:>{figures}}", "default")
@@ -65,7 +63,7 @@ def distilled(state: State, width: int) -> list[Text]:
     room = width - VALUE_AT
     claim, refused = drawn(model.keys_claim), drawn(plant.keys_refused)
     if refused and not plant.keys_made:
-        none = line(longest(room, f"none: {refused}", "none"), STYLES["bad"])
+        none = line(f"none: {refused}", STYLES["bad"])
         return [labelled("distilled keys", none), labelled("assumption", line(claim))]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
@@ -75,9 +73,6 @@ def distilled(state: State, width: int) -> list[Text]:
     keys = line(f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}")
     hers, style = held(state, room - keys.cell_len)
     keys.append(hers, style=STYLES[style])
-    digits = f"; {count(plant.digits_left)} digits left"
-    if plant.digits_left and keys.cell_len + cell_len(digits) <= room:
-        keys.append(digits)
     against = list(contradictions(state))
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
@@ -85,12 +80,8 @@ def distilled(state: State, width: int) -> list[Text]:
         against.insert(0, f"STOPPED at the controller: {drawn(state.controller.keys_stopped)}")
     if refused:
         against.insert(0, f"refused: {refused}")
-    rests_on = line(claim)
-    if against:
-        heads = [text.partition(":")[0] for text in against]
-        red = longest(room, "; ".join(against), "; ".join(heads), heads[0])
-        left = room - cell_len(red)
-        rests_on = line(red, STYLES["bad"]).append(longest(left, f"; {claim}"), "default")
+    rests_on = line("; ".join(against), STYLES["bad"])
+    rests_on.append(f"; {claim}" if against else claim, "default")
     rows = [labelled("distilled keys", keys), labelled("assumption", rests_on)]
     if plant.key_blocks_begun and not refused:
         distance = f"{model.keys_eps * plant.key_blocks_begun:.2g} from perfect keys"
@@ -113,28 +104,22 @@ def held(state: State, room: int) -> tuple[str, str]:
     return longest(room, f"{of}, {missed}", of, bits), "bad" if hers.key_bits_held else "good"
 
 
-def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]], width: int) -> list[Text]:
-    """A row for each tap, under the columns that the width has room for."""
-    rows = [(tap.status.name, (state, tap, its)) for tap, its in shown]
-    found = table("eavesdropper", fitting(_COLUMNS, width - LABEL - 2), rows)
-    return found if shown else [*found, line(" none")]
+HEADING: Final = "keys found % secret bit/key letters right  whole at step"
 
 
-def _follows(tap: TapState) -> str:
-    left = tap.status.candidates_left
-    return count(left) if left else "-"
+def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]]) -> list[Text]:
+    """A row for each tap."""
+    lines = [labelled("eavesdropper", line(HEADING, STYLES["label"]))]
+    for tap, its in shown:
+        bits, right = figure(its.bits_per_key), _message_right(state, tap)
+        row = f"{keys_right(its):>12} {bits:>14} {right:>13} {_broke(tap):>14}"
+        lines.append(labelled(tap.status.name, line(row)))
+    return lines if shown else [*lines, line(" none")]
 
 
 def _message_right(state: State, tap: TapState) -> str:
     right, total = characters_right(state, tap)
     return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
-
-
-def _model_off(state: State, tap: TapState) -> str:
-    off = model_error(state, tap)
-    if off is None:
-        return "-"
-    return "0 %" if off == 0 else f"{number(100 * off)} %"
 
 
 def keys_right(its: Score) -> str:
@@ -162,16 +147,3 @@ def _broke(tap: TapState) -> str:
         judged = "exact" if tap.exact else "WRONG"
         return longest(14, f"{solved} {judged}", f"{count(solved)} {judged}")
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
-
-
-_Judged = tuple[State, TapState, Score]
-
-_COLUMNS: Final[tuple[Column[_Judged], ...]] = (
-    Column("keys found %", 12, 0, lambda of: keys_right(of[2])),
-    Column("secret bit/key", 14, 3, lambda of: figure(of[2].bits_per_key)),
-    Column("texts tried", 11, 5, lambda of: _follows(of[1])),
-    Column("model error", 11, 4, lambda of: _model_off(of[0], of[1])),
-    Column("letters right", 13, 2, lambda of: _message_right(of[0], of[1])),
-    Column("whole at step", 14, 1, lambda of: _broke(of[1])),
-)
-"""Left to right."""

@@ -1,7 +1,7 @@
 """The screen as a pure function: a state, a size and what the user asked for, to lines.
 
-The screen is whole from 80x24 on; on a smaller one whole panels go, in the order of
-`DROPPED_FIRST`.
+It is laid out for 80x24 at least, and a smaller terminal shows the upper left part. Where a caption
+takes the room, the message goes, then the loop.
 """
 
 import re
@@ -33,17 +33,11 @@ from wyner.dashboard.text import (
     symbol_of,
 )
 
-WHOLE: Final = (80, 24)
-"""The size, columns and rows, from which every panel is shown."""
-
-DROPPED_FIRST: Final = ("taps", "message", "loop")
-"""Panels that a small screen does without, in turn."""
+SMALLEST: Final = (80, 24)
+"""Columns and rows that the screen is laid out for at least."""
 
 SILENT_AFTER_NS: Final = 2_000_000_000
 """A service that has not been heard for this long is called silent."""
-
-REASON_AT_LEAST: Final = 12
-"""Cells of a reason in the first line, which is cut there; it gets more where there is room."""
 
 LOOP_ROWS: Final = 9
 """Lines of the panel of the loop on a screen of 24."""
@@ -68,11 +62,9 @@ HELP: Final = (
     "paper's rule: bits that it counts as secret. true: what the best eavesdropper",
     "leaves of them at most. bit/s: what was sent, how much of it may be secret.",
     "keys found: per cent, [95 % limits, however often you look]. secret bit/key:",
-    "-log2 of Eve's chance, at most. texts tried: how many possible messages Eve is",
-    "comparing. model error: how far Eve's A and B are off. whole at step: when Eve",
-    "was sure of the text. Eve's probabilities are its own claims: no interval.",
+    "-log2 of Eve's chance, at most. whole at step: when Eve was sure of the text.",
+    "Eve's probabilities are its own claims: no interval.",
     "reported, true: what the sensor says and what is so, under an attack.",
-    "A small screen drops, in turn: eavesdroppers; message; loop and key test.",
     "`wyner report` writes the same comparison as a page, once a run is over.",
 )
 
@@ -102,9 +94,10 @@ class ViewState:
 
 def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) -> Group:
     """The whole screen, ``height`` lines of at most ``width`` cells."""
-    page = _Page(state, width, view, now_ns)
-    body = page.help() if view.help else page.body(height - 1)
-    body += [line()] * (height - 1 - len(body))
+    rows = max(height, SMALLEST[1]) - 1
+    page = _Page(state, max(width, SMALLEST[0]), view, now_ns)
+    body = page.help() if view.help else page.body(rows)
+    body += [line()] * (rows - len(body))
     lines = [*body[: height - 1], page.footer()]
     for each in lines:
         each.truncate(width, overflow="ellipsis")
@@ -119,38 +112,26 @@ class _Page:
 
     def body(self, height: int) -> list[Text]:
         """The panels that fit; the loop and its picture grow with the screen."""
-        caption = self._caption()
-        keys = distilled(self.state, self.width)
-        sizes = {"loop": LOOP_ROWS, "message": 5, "taps": 2}
-        if caption:
-            del sizes["taps"]
-        fixed = 1 + 3 + len(keys) + len(caption)  # the header, the secrecy panel
-        for panel in DROPPED_FIRST:
-            if fixed + sum(sizes.values()) > height:
-                sizes.pop(panel, None)
-        spare = max(0, height - fixed - sum(sizes.values()))
-        more_taps = max(0, min(spare, len(self.taps) - 1, 7)) if "taps" in sizes else 0
+        caption, keys = self._caption(), distilled(self.state, self.width)
+        table = 0 if caption else 2
+        spare = max(0, height - 1 - LOOP_ROWS - 5 - 3 - len(keys) - len(caption) - table)
+        more_taps = max(0, min(spare, len(self.taps) - 1, 7)) if table else 0
         spare -= more_taps
         explained = spare >= 4
         spare -= explained
-        texts = 1
-        if "message" in sizes and spare >= 8:
-            texts += max(0, min((spare - 4) // 2, len(self.taps) - 1))
-            spare -= 2 * (texts - 1)
-        lines = [self.header()]
-        if "loop" in sizes:
-            lines += self.top(LOOP_ROWS + spare)
-        if "message" in sizes:
-            lines += self.message(texts)
-        shown = self.taps[: 1 + more_taps] if "taps" in sizes else []
+        shown = self.taps[: 1 + more_taps] if table else []
         hidden = 0 < len(shown) < len(self.taps)
         note = f"the strongest {len(shown)} of {len(self.taps)} eavesdroppers" if hidden else ""
-        lines += [rule("Secrecy", self.width, note), *amounts(self.secrecy, self.width), *keys]
-        if "taps" in sizes:
-            lines += eavesdroppers(self.state, shown, self.width)
+        below = [rule("Secrecy", self.width, note), *amounts(self.secrecy, self.width), *keys]
+        if table:
+            below += eavesdroppers(self.state, shown)
         if explained:
-            lines.append(explanation(self.secrecy, self.width))
-        return [*lines, *caption]
+            below.append(explanation(self.secrecy, self.width))
+        panels = [self.top(LOOP_ROWS + spare), self.message(), [*below, *caption]]
+        for spared in (1, 0):
+            if sum(map(len, panels)) > height - 1:
+                panels.pop(spared)
+        return [self.header(), *(row for panel in panels for row in panel)]
 
     def _caption(self) -> list[Text]:
         """A pause of the story, or the end of the run."""
@@ -165,42 +146,43 @@ class _Page:
         return [rule(drawn(title), self.width), *(line(f" {row}") for row in rows)]
 
     def header(self) -> Text:
-        """One line: what is watched and how it is; the less telling parts go where it is narrow."""
-        parts, reasons = self._parts()
-        least = sum(2 + min(cell_len(text), REASON_AT_LEAST) for text in reasons)
-        while len(parts) > 1 and least + sum(2 + cell_len(t) for _, t in parts) > self.width:
-            parts.remove(max(parts, key=lambda part: part[0]))
-        shown = line(" " + "  ".join([*(text for _, text in parts), *reasons]), "reverse")
+        """One line: what is watched and how it is; what tells less is last, and goes first."""
+        parts, about = self._parts()
+        while about and sum(2 + cell_len(part) for part in (*parts, *about)) > self.width:
+            about.pop()
+        shown = line(" " + "  ".join([*parts, *about]), "reverse")
         shown.truncate(self.width, overflow="ellipsis", pad=True)
         return shown
 
-    def _parts(self) -> tuple[list[tuple[int, str]], list[str]]:
-        """What the first line says, each with its rank: the highest goes first; and the reasons."""
+    def _parts(self) -> tuple[list[str], list[str]]:
+        """What the first line says, and what it can do without."""
         plant, model, controller = self.state.plant, self.state.model, self.state.controller
-        parts: list[tuple[int, str]] = [(0, self.view.title or "wyner")]
-        if plant is None:
-            parts.append((0, "waiting for the plant"))
-        else:
-            if model is not None:
-                parts += [(5, drawn(model.scenario)), (4, f"pace {drawn(model.pace)}")]
-                parts += [(7, f"alpha {number(model.alpha)}")]
-            known = plant.phase in ("running", "refused")
-            phase = plant.phase if known else in_words("plant", plant.phase)
-            parts += [(8, f"session {plant.session[:8]}"), (2, phase)]
-            if model is not None and model.seeded:
-                parts.append((3, "SEEDED: no secret"))
-            if plant.frames_refused:
-                parts.append((2, f"{count(plant.frames_refused)} frames refused"))
-            if plant.attack:
-                parts.append((1, f"ATTACK: {drawn(plant.attack)}"))
-        if controller is not None and controller.phase != "running":
-            parts.append((1, in_words("controller", controller.phase)))
+        parts: list[str] = [self.view.title or "wyner"]
+        about: list[str] = []
         if self.view.frozen:
             steps = self.view.held_steps
-            parts.append((0, f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}"))
-        parts += [(1, f"{name} silent") for name in self._silent()]
+            parts.append(f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}")
+        if plant is None:
+            parts.append("waiting for the plant")
+        else:
+            if model is not None:
+                parts.append(drawn(model.scenario))
+                about = [f"pace {drawn(model.pace)}", f"alpha {number(model.alpha)}"]
+            known = plant.phase in ("running", "refused")
+            parts.append(plant.phase if known else in_words("plant", plant.phase))
+            about.append(f"session {plant.session[:8]}")
+            if model is not None and model.seeded:
+                parts.append("SEEDED: no secret")
+            if plant.frames_refused:
+                parts.append(f"{count(plant.frames_refused)} frames refused")
+            if plant.attack:
+                parts.append(f"ATTACK: {drawn(plant.attack)}")
+        if controller is not None and controller.phase != "running":
+            parts.append(in_words("controller", controller.phase))
         ends = (end for end in (plant, controller) if end is not None)
-        return parts, [drawn(end.detail) for end in ends if end.detail]
+        reasons = [drawn(end.detail) for end in ends if end.detail]
+        silent = [f"{name} silent" for name in self._silent()]
+        return [*parts, *silent, *reasons], about
 
     def _silent(self) -> list[str]:
         """The services whose statuses stopped without a last one that says so."""
@@ -231,20 +213,13 @@ class _Page:
         return keys.append(tail.rjust(self.width - keys.cell_len - 1), style="dim")
 
     def top(self, rows: int) -> list[Text]:
-        """The loop and its keys; the key test and the last steps beside or below them."""
-        both = self.width >= WHOLE[0]
-        left = self.width
-        if both:
-            left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
-        lines = self.loop(left, rows)
-        if both:
-            right = self.width - left - 1
-            test = agreement(self.state.model, self.state.pictured, right, rows)
-            if (rest := rows - len(test)) > 1:
-                test += self.last_steps(right, rest)
-            lines = beside(lines, test, left)
-        elif (rest := rows - len(lines)) > 1:
-            lines += self.last_steps(left, rest)
+        """The loop and its keys; the key test and the last steps beside them."""
+        left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
+        right = self.width - left - 1
+        test = agreement(self.state.model, self.state.pictured, right, rows)
+        if (rest := rows - len(test)) > 1:
+            test += self.last_steps(right, rest)
+        lines = beside(self.loop(left, rows), test, left)
         return lines + [line()] * (rows - len(lines))
 
     def loop(self, width: int, height: int) -> list[Text]:
@@ -274,7 +249,7 @@ class _Page:
     def _control(self, width: int) -> Text:
         """Where the state is among the controller's sets, or an alarm.
 
-        Under an attack the controller only knows the reported state, and the line says so.
+        The controller only knows the reported state: the line says how far the plant is from it.
         """
         controller, alarms = self.state.controller, self.state.alarms
         if alarms:
@@ -288,18 +263,18 @@ class _Page:
         else:
             steps = f"{count(controller.set_index)} steps"
             where = (f"at most {steps} to the target set", f"{steps} off")
-        if not self.state.attacked:
+        if not self.state.away:
             return line(longest(width, f" state: {where[0]}", f" state: {where[1]}"))
-        true = f"truly {number(self.state.away)}"
-        long, short = f" as reported {where[0]}, {true} away", f" reported {where[1]}; {true} off"
-        return line(longest(width, long, short, f" {true} away"), STYLES["bad"])
+        off = f"plant {number(self.state.away)} away"
+        told = longest(width, f" reported {where[0]}; {off}", f" reported {where[1]}; {off}")
+        return line(told, STYLES["bad"])
 
     def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
         """A row for each component with its history, as far as there is room.
 
         Of an attacked plant the true component, with its history, stands beside the reported one.
         """
-        state, attacked = self.state, self.state.attacked
+        state, attacked = self.state, bool(self.state.true_states)
         lines = []
         for i, value in enumerate(x):
             told = f" x{i + 1}  {component(value, '+'):>8}  "
@@ -368,11 +343,10 @@ class _Page:
             lines.append(row)
         return lines
 
-    def message(self, taps: int) -> list[Text]:
-        """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
+    def message(self) -> list[Text]:
+        """Sent, recovered and what Eve has, one below the other, wrong characters marked with ^."""
         state = self.state
         sent, recovered = letters(state.sent), letters(state.recovered)
-        shown = [tap for tap, _ in self.taps if tap.status.key_bits_held < 0][:taps]
         start = self._start(sent, len(recovered))
         note = f"{len(recovered)} of {len(sent)} characters"
         if its := state.controller:
@@ -380,21 +354,19 @@ class _Page:
         lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
-        for tap in shown:
-            truth = letters(truth_for(state, tap.status.message))
-            same = truth == sent
-            hers = letters(tap.status.message)
-            hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
-            guess, marks = self._marked(hers, truth, start if same else 0)
-            lines.append(labelled(tap.status.name, guess))
-            if tap.status.failed:
-                lines.append(labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"])))
-                continue
-            wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
-            lines.append(labelled(wrong if same else f"{wrong}, old", marks))
-        if not shown:
-            lines += [labelled(text, line()) for text in _NO_TAP]
-        return lines
+        tap = next((tap for tap, _ in self.taps if tap.status.key_bits_held < 0), None)
+        if tap is None:
+            return [*lines, *(labelled(text, line()) for text in _NO_TAP)]
+        truth = letters(truth_for(state, tap.status.message))
+        same = truth == sent
+        hers = letters(tap.status.message)
+        hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
+        guess, marks = self._marked(hers, truth, start if same else 0)
+        lines.append(labelled(tap.status.name, guess))
+        if tap.status.failed:
+            return [*lines, labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"]))]
+        wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
+        return [*lines, labelled(wrong if same else f"{wrong}, old", marks)]
 
     def _start(self, sent: str, grown: int) -> int:
         """The first character shown of a message that has grown so far."""

@@ -44,7 +44,6 @@ class RunOptions(MessageOptions):
         "NAME[,NAME...]",
     )
     story: bool = option("pause at what matters, with a caption each time", default=False)
-    headless: bool = option("print lines instead of a screen", default=False)
     json: bool = option("print the summary as one JSON object", default=False)
     attack: str | None = option(
         "attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",

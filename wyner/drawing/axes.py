@@ -51,7 +51,7 @@ def draw_agreement(axes: Axes, predictions: Array, x_next: Array, D_c: Array, D_
     """
     if D_c.shape[1] < 2:
         raise ValueError("got 1 state, expected at least 2 to draw")
-    rings = _hull(D_c[:, :2]), _hull(D_e[:, :2])
+    rings = hull(D_c[:, :2]), hull(D_e[:, :2])
     for i, c in enumerate(predictions):
         (line,) = axes.plot(c[0], c[1], marker="+", ms=8, ls="none")
         for ring, style, who in zip(rings, ("-", "--"), "ce", strict=True):
@@ -64,7 +64,7 @@ def draw_agreement(axes: Axes, predictions: Array, x_next: Array, D_c: Array, D_
     axes.legend(fontsize="small")
 
 
-def _hull(points: Array) -> Array:
+def hull(points: Array) -> Array:
     """The outline of the points' shadow in the plane, closed."""
     from scipy.spatial import ConvexHull
 

@@ -7,16 +7,13 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from wyner.advice.why import APART, closest_predictions
-from wyner.drawing.axes import closed
+from wyner.drawing.axes import hull
 from wyner.drawing.style import COLOURS
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
-
-DIRECTIONS: Final = 72
-"""Directions in which a set of more than two states is felt to draw its shadow."""
 
 MARGIN: Final = 0.5
 """Free room around the run and T_0, as a share of their extent: the largest sets go beyond it."""
@@ -81,17 +78,5 @@ def shadow(H: Array, h: Array) -> tuple[Array, Array]:
         ends = corners(H, h)[:, 0]
         low, high = float(ends.min()), float(ends.max())
         return np.array([low, high, high, low, low]), np.array([-1.0, -1, 1, 1, -1])
-    if H.shape[1] == 2:
-        ring = closed(corners(H, h))
-        return ring[:, 0], ring[:, 1]
-    from scipy.optimize import linprog
-
-    found = []
-    for angle in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
-        c = np.zeros(H.shape[1])
-        c[:2] = np.cos(angle), np.sin(angle)
-        answer = linprog(-c, A_ub=H, b_ub=h, bounds=(None, None))
-        assert answer.x is not None, "the sets are compact"
-        found.append(answer.x[:2])
-    outline = np.array([*found, found[0]])
-    return outline[:, 0], outline[:, 1]
+    ring = hull(corners(H, h)[:, :2])
+    return ring[:, 0], ring[:, 1]

@@ -29,25 +29,15 @@ WORDS: Final = {
     "input_effort": "input effort: mean of u'u a step",
     "agreed": "agreements, share of tested steps",
     "secrecy.alpha": "alpha, size of D_e in D_c",
-    "runs": "runs",
-    "steps": "steps",
 }
 """Columns as an axis calls them."""
 
-UNITS: Final = {"s": "s", "hz": "Hz", "bits": "bit", "bytes": "bytes", "steps": "steps"}
-"""Units that a field's name ends in."""
-
 
 def in_words(column: str) -> str:
-    """A column as an axis calls it, with its unit: ``plant.period_s`` is "plant: period (s)"."""
-    if column in WORDS:
-        return WORDS[column]
+    """A column as an axis calls it."""
     if column.endswith((" keys known", " messages read")):
         return f"{column}, share"
-    *path, name = column.split(".")
-    words, _, unit = name.rpartition("_")
-    told = f"{words} ({UNITS[unit]})" if words and unit in UNITS else name
-    return ": ".join([*path, told]).replace("_", " ")
+    return WORDS.get(column, column)
 
 
 def ready(path: Path) -> tuple[list[Row], list[str]]:

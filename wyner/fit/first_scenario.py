@@ -201,7 +201,7 @@ initial_state = {start}
 kind = "uniform"                 # or corners, truncated-gaussian, gaussian, constant, sinusoid
 half_widths = {D}
 
-[defender.disturbance]           # D_c contains D; both ends know it, she does not
+[defender.disturbance]           # D_c contains D; both ends know it, Eve does not
 half_widths = {D_c}
 
 [control]
@@ -221,6 +221,6 @@ next_state = 0.0
 input = 1.0
 
 [secrecy]
-alpha = 8.0                      # D_e = alpha D_c, the set that she is said to know
+alpha = 8.0                      # D_e = alpha D_c, the set that Eve is said to know
 scheme = "switched"              # the paper's; or pipelined, or your own: FILE.py:CLASS
 """

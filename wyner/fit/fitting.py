@@ -34,7 +34,6 @@ from wyner.fit.identification import (
     FittedModel,
     identify,
     inputs_without_effect,
-    sensor_deviation,
 )
 from wyner.fit.sessions import OpenPlant, Transitions, excite, residuals_under
 from wyner.simulate.engine import Law
@@ -81,9 +80,6 @@ class Plan:
     steps : int
         Of a session under the law.
     seed : int
-    noise : float, optional
-        So many standard deviations of the sensors' noise, as it shows in the readings, are its
-        half-widths N. None: ``defender.noise`` as it is stated, or exact sensors.
     """
 
     excite_sessions: int = 20
@@ -95,7 +91,6 @@ class Plan:
     fresh: int = 100
     steps: int = 200
     seed: int = 1
-    noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,12 +152,11 @@ def fit(
     SynthesisError
         When there are no sets for what was found.
     """
-    fits_noise = plan.noise is not None
-    blank = _blank(tables, source, fits_noise=fits_noise)
+    blank = _blank(tables, source)
     found = None
     defender = dict(tables.get("defender", {}))
     defender.pop("calibration", None)
-    noisy = fits_noise or blank.defender.noise is not None
+    N = blank.defender.noise
     began = time.monotonic()
     seen = excite(
         blank,
@@ -181,7 +175,7 @@ def fit(
     if "A" in defender and "B" in defender:
         errors = seen.x_next - seen.x @ np.array(blank.A).T - seen.u @ np.array(blank.B).T
     else:
-        found = _identified(seen, noisy=noisy)
+        found = _identified(seen, noisy=N is not None)
         for j in inputs_without_effect(found, seen.x, seen.u):
             raise FitError(
                 f"input u_{j + 1} has no effect: B's column is within its error (the largest entry "
@@ -198,11 +192,6 @@ def fit(
             "plant.disturbance, or state defender.disturbance without a fit"
         )
     A = np.array(defender.get("A") or blank.A)
-    if plan.noise is not None:
-        deviation = sensor_deviation(errors, A, seen.steps)
-        defender["noise"] = {"half_widths": (plan.noise * deviation).tolist()}
-        tell(f"sensor noise: standard deviations {deviation.round(6).tolist()}")
-    N = None if "noise" not in defender else NoiseSet.model_validate(defender["noise"])
     widths = _box(template(errors) * 1.1)
     rounds = 0
     first, sessions = 0, range(plan.pilot)
@@ -304,7 +293,7 @@ def _box(widths: Array) -> Array:
     return np.maximum(widths, SMALLEST * (largest or 1.0))
 
 
-def _blank(tables: Mapping[str, Any], source: str, *, fits_noise: bool) -> Scenario:
+def _blank(tables: Mapping[str, Any], source: str) -> Scenario:
     """The scenario with a model and a D_c that are there to be replaced.
 
     Raises
@@ -333,10 +322,4 @@ def _blank(tables: Mapping[str, Any], source: str, *, fits_noise: bool) -> Scena
         defender.setdefault("A", np.eye(n).tolist())
         defender.setdefault("B", np.zeros((n, m)).tolist())
     defender["disturbance"] = {"half_widths": [1e9] * n}
-    if fits_noise:
-        if "noise" in defender:
-            raise ScenarioError([f"{source}: defender.noise: expected none where it is fitted"])
-        plant = {**plant, "disturbance": {**plant.get("disturbance", {}), **LEAVES}}
-    return parse_scenario(
-        {**tables, "plant": plant, "control": control, "defender": defender}, source
-    )
+    return parse_scenario({**tables, "control": control, "defender": defender}, source)

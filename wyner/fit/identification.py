@@ -119,32 +119,3 @@ def inputs_without_effect(model: FittedModel, x: ArrayLike, u: ArrayLike) -> lis
     errors = model.errors[:, X.shape[1] :]
     dead = (np.abs(model.B) <= np.maximum(WITHIN * errors, least)).all(axis=0)
     return [int(j) for j in np.flatnonzero(dead)]
-
-
-def sensor_deviation(residuals: ArrayLike, A: ArrayLike, steps: int) -> Array:
-    """Standard deviation of each sensor's noise, from residuals of readings, shape (n,).
-
-    The residuals of two steps that follow one another share one reading's noise, n(k+1): it is in
-    the first as it is, and in the second as -A n(k+1). So their covariance is -A times that of n.
-
-    Parameters
-    ----------
-    residuals : array, shape (T, n)
-        Whole sessions, one after the other.
-    A : array, shape (n, n)
-    steps : int
-        Of a session.
-
-    Raises
-    ------
-    FitError
-        When A has no inverse, or sessions are too short.
-    """
-    A = np.asarray(A, dtype=float)
-    if steps < 2 or np.linalg.cond(A) > LARGEST_CONDITION:
-        raise FitError("sensor noise cannot be told from disturbance here: state defender.noise")
-    of = np.asarray(residuals, dtype=float).reshape(-1, steps, len(A))
-    pairs = of[:, 1:].reshape(-1, len(A)).T @ of[:, :-1].reshape(-1, len(A))
-    shared = -np.linalg.solve(A, pairs / (len(of) * (steps - 1)))
-    out: Array = np.sqrt(np.maximum(shared.diagonal(), 0.0))
-    return out

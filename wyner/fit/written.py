@@ -143,7 +143,7 @@ class FromPlant:
         )
         if N is None:
             return text
-        return f"{text}; D_c itself rests on N, {'stated' if self.plan.noise is None else 'fitted'}"
+        return f"{text}; D_c itself rests on N, which is stated"
 
     @property
     def text(self) -> str:

@@ -38,9 +38,9 @@ class TracedTransition:
     ``digits`` is the position in the key stream that the offer named, if any, and ``keyed`` whether
     its digits served; ``expected`` is the controller's alone. The last three are there where the
     plant is attacked.
-
-    A model would take three times the room, and a run has millions.
     """
+
+    # A model would take three times the room, and a run has millions.
 
     event: Literal["transition"]
     session: str

@@ -126,10 +126,12 @@ class _Replay:
         return found
 
     def _served(self, message: bool, key: int, agreed: int) -> list[tuple[str, str]]:
-        """Every key symbol serves one message symbol."""
+        """Every key symbol serves one message symbol; a pad made of several spends them."""
         found = []
         if message and key in self._fresh:
             self._fresh.remove(key)
+        elif message and len(self._fresh) > 1:
+            self._fresh.clear()
         elif message:
             text = f"{self._trace.side}: key {key} serves, unused were {self._fresh or 'none'}"
             found.append(("once", text))
