@@ -58,7 +58,7 @@ class Attacker(Filter):
     failed : str
         Why it is over; empty while it is not.
     sieve : Sieve
-        Through which its messages go first: junk on the bus costs it nothing, and is counted.
+        Through which its messages go first: junk on the bus costs it nothing.
 
     Raises
     ------
@@ -153,10 +153,6 @@ class Attacker(Filter):
         """Why it is over, once."""
         told, self._untold = self._untold, ""
         return told
-
-    def close(self) -> None:
-        """Say how many messages were none of the loop's."""
-        self.sieve.tell()
 
     def _hear(self, k: int, kind: type[FieldMessage], payload: bytes) -> None:
         if self._offers is None or self.failed:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from protocol.arrays import Array, Flags, Integers
 from protocol.scenario import Scenario
 from protocol.scenario.attack import Known, Place
-from protocol.wrong_fields import expected_of
+from protocol.wrong_fields import wrong_fields
 
 UNKNOWN: Final = -1
 """In place of a coin that Eve does not know."""
@@ -146,11 +146,7 @@ class Attack(ABC):
         try:
             self.options = self.Options.model_validate(dict(options))
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise AttackError(
-                f"attack.{where}: {self.name}: got {first['input']!r}, {expected_of(first)}"
-            ) from None
+            raise AttackError(f"attack.{wrong_fields(error)[0]} ({self.name})") from None
         if "model" in self.knows and model is None:
             raise AttackError(f"attack.knows: {self.name} needs 'model'")
         self._model = model

@@ -20,7 +20,6 @@ from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.plants import PLANTS
 from protocol.scenario.reading import (
     ScenarioError,
-    describe_errors,
     parse_scenario,
     set_field,
 )
@@ -58,7 +57,6 @@ __all__ = [
     "SensorNoise",
     "TapView",
     "attack_of",
-    "describe_errors",
     "parse_scenario",
     "set_field",
 ]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from protocol.scenario.parts import ScenarioTable
-from protocol.wrong_fields import expected_of
+from protocol.wrong_fields import wrong_fields
 
 Place = Literal["sensor", "bus", "actuator"]
 Known = Literal["model", "bus", "coins"]
@@ -64,9 +64,7 @@ def attack_of(text: str, stated: Attack | None = None) -> Attack:
     try:
         return Attack.model_validate(fields)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where}: got {first['input']!r}, {expected_of(first)}") from None
+        raise ValueError(wrong_fields(error)[0]) from None
 
 
 def _parts(text: str) -> list[str]:
