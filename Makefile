@@ -108,7 +108,7 @@ coverage: $(STAMPS)/dev
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev
 	@echo "building build/docs: minutes for the API reference, the first time"
-	$(BIN)/sphinx-build -W --keep-going -j auto -b html docs build/docs
+	$(BIN)/python -m sphinx -W --keep-going -j auto -b html docs build/docs
 	@echo "build/docs/index.html"
 
 figures: $(STAMPS)/dev

@@ -6,7 +6,6 @@ from pydantic import ValidationError
 
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario
-from runtime.logs import logger
 
 LONGEST: Final = 1 << 16
 """Bytes of a message that an attack reads at most; the ends' own are far shorter."""
@@ -18,21 +17,15 @@ class Sieve:
     Parameters
     ----------
     scenario : Scenario
-
-    Attributes
-    ----------
-    ignored : int
-        Messages that were none of the loop's.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.ignored = 0
         self._n = scenario.n
         self._offered = [scenario.m] * scenario.secrecy.candidates
         self._session = ""
 
     def read(self, kind: type[FieldMessage], payload: bytes) -> FieldMessage | None:
-        """The message; None, and counted, where it is none, or of another shape than the loop's."""
+        """The message; None where it is none, or of another shape than the loop's."""
         try:
             message = kind.model_validate_json(payload) if len(payload) <= LONGEST else None
         except ValidationError:
@@ -43,14 +36,7 @@ class Sieve:
             fits = [len(u) for u in message.candidates] == self._offered
         else:
             fits = message is not None
-        self.ignored += not fits
         return message if fits else None
-
-    def tell(self) -> None:
-        """Say in a line how many were ignored, where there were any."""
-        if self.ignored:
-            log = logger("attacker")
-            log.info("attack: %d messages on the bus were none of the loop's", self.ignored)
 
     def beside_the_plant(self, kind: type[FieldMessage], payload: bytes) -> FieldMessage | None:
         """The same, heard where the plant is: an offer of another session is none of the loop's.
@@ -61,6 +47,5 @@ class Sieve:
         if isinstance(message, Measurement):
             self._session = message.session
         elif isinstance(message, Offer) and message.session != self._session:
-            self.ignored += 1
             return None
         return message

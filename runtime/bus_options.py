@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from runtime.addresses import Addresses
     from runtime.bus import Bus
     from runtime.fleet import Fleet
+    from runtime.recording import Bounds
 
 
 ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that bus's default"
@@ -76,8 +77,17 @@ class ServiceOptions(BusOptions):
     )
     metrics: str | None = option("serve Prometheus metrics there (docs/deployment.md)", "HOST:PORT")
     total_bytes: int | None = option(
-        "largest size of the recording; its oldest parts are deleted (default: 1 GiB)", "N"
+        "largest size of the recording; its oldest parts are deleted (default: 1 GiB)",
+        "N",
+        least=2048,
     )
+
+    @property
+    def bounds(self) -> "Bounds":
+        """Of the recording."""
+        from runtime.recording import Bounds
+
+        return Bounds() if self.total_bytes is None else Bounds(total_bytes=self.total_bytes)
 
 
 def add_service_arguments(

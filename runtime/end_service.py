@@ -16,7 +16,7 @@ from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.host import Host
-from runtime.options import checked, fine, folder_of, option, pace_of, run_dir_of
+from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds
@@ -140,8 +140,7 @@ def run_end(
         When an option's value is wrong.
     """
     check_addresses(options, log.name)
-    bounds = checked(Bounds, total_bytes=options.total_bytes)
-    common = partial(dict[str, Any], pace=pace_of(options.pace), bounds=bounds)
+    common = partial(dict[str, Any], pace=pace_of(options.pace), bounds=options.bounds)
     fleet = fleet_of(options, message)
     if fleet is not None:
         if options.check:

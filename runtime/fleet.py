@@ -12,13 +12,13 @@ Each loop has a folder of its own below the run's, by its id.
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
-from protocol.wrong_fields import expected_of
+from protocol.wrong_fields import wrong_fields
 from runtime.errors import UsageError
 from runtime.files import read_regular
 
@@ -32,20 +32,39 @@ STATUS_S = 1.0
 LARGEST_FLEET = 10_000
 
 
+def _short(message: str) -> str:
+    if len(message.encode("utf-8", errors="surrogateescape")) > MAX_PAYLOAD:
+        raise ValueError(f"expected {MAX_PAYLOAD} bytes at most")
+    return message
+
+
 class FleetLoop(BaseModel):
     """One loop of a fleet; ``seed`` is for experiments only."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    id: str
+    id: Annotated[str, AfterValidator(check_loop)]
     scenario: str = "sustained"
-    message: str = ""
+    message: Annotated[str, AfterValidator(_short)] = ""
     seed: Annotated[int | None, Field(ge=0)] = None
 
     @property
     def payload(self) -> bytes | None:
         """The message in bytes; None where there is none."""
         return self.message.encode("utf-8", errors="surrogateescape") or None
+
+
+class _FleetFile(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    loop: Annotated[tuple[FleetLoop, ...], Field(min_length=1)]
+
+    @field_validator("loop")
+    @classmethod
+    def _told_apart(cls, loops: tuple[FleetLoop, ...]) -> tuple[FleetLoop, ...]:
+        if len({loop.id for loop in loops}) < len(loops):
+            raise ValueError("expected an id for each of its own")
+        return loops
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,30 +111,8 @@ def read_fleet(path: Path) -> Fleet:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: not TOML: {error}") from None
-    rows: Any = tables.pop("loop", None)
-    if tables:
-        raise UsageError(f"{path}: {next(iter(tables))}: expected tables [[loop]] only")
-    if not isinstance(rows, list) or not rows:
-        raise UsageError(f"{path}: loop: expected at least one table [[loop]]")
-    loops: dict[str, FleetLoop] = {}
-    problems = []
-    for number, row in enumerate(rows, start=1):
-        try:
-            loop = FleetLoop.model_validate(row)
-            check_loop(loop.id)
-        except ValidationError as error:
-            first = error.errors(include_url=False, include_context=False)[0]
-            field = ".".join(map(str, first["loc"]))
-            problems.append(f"{path}: loop {number}: {field}: {expected_of(first)}")
-            continue
-        except ValueError as error:
-            problems.append(f"{path}: loop {number}: id: {error}")
-            continue
-        if loop.id in loops:
-            problems.append(f"{path}: loop {number}: id: {loop.id!r} is there already")
-        if len(loop.message.encode("utf-8", errors="surrogateescape")) > MAX_PAYLOAD:
-            problems.append(f"{path}: loop {number}: message: expected {MAX_PAYLOAD} bytes at most")
-        loops[loop.id] = loop
-    if problems:
-        raise UsageError(problems)
-    return Fleet(loops, path)
+    try:
+        loops = _FleetFile.model_validate(tables).loop
+    except ValidationError as error:
+        raise UsageError([f"{path}: {line}" for line in wrong_fields(error)]) from None
+    return Fleet({loop.id: loop for loop in loops}, path)

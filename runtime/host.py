@@ -30,7 +30,7 @@ from runtime.health import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
-from runtime.turn_watch import Turns, TurnWatch
+from runtime.turn_watch import TurnWatch
 
 if TYPE_CHECKING:
     from runtime.extraction import Extraction
@@ -157,7 +157,7 @@ class Host:
         self._extraction: Extraction | None = None
         self._health = HealthWriter()
         self.turns = FairLock()
-        self._turn = Turns(__name__)
+        self._turn = TurnWatch(__name__)
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -225,7 +225,7 @@ class Host:
             Whatever an endpoint, a file or a bus cannot go on after.
         """
         try:
-            with TurnWatch(self._turn):
+            with self._turn:
                 self._go_on()
         except BaseException as why:
             try:

@@ -10,10 +10,7 @@ from inspect import get_annotations
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
-
 from protocol.schemes.framing import MAX_PAYLOAD
-from protocol.wrong_fields import expected_of
 from runtime.errors import DONE, UsageError
 from runtime.files import PRIVATE_FOLDER, make_folder, open_regular
 from runtime.pace import Pace
@@ -140,27 +137,6 @@ class MessageOptions:
     message: str | None = option(
         "the message to deliver; - reads it from standard input, @FILE from a file", "TEXT"
     )
-
-
-M = TypeVar("M", bound=BaseModel)
-
-
-def checked(kind: type[M], **values: object) -> M:
-    """A model of options, of those that were given.
-
-    Raises
-    ------
-    UsageError
-        With a line for each option whose value is wrong.
-    """
-    try:
-        return kind.model_validate({k: v for k, v in values.items() if v is not None})
-    except ValidationError as error:
-        lines = []
-        for e in error.errors(include_url=False):
-            field = str(e["loc"][0])
-            lines.append(f"--{field.replace('_', '-')}: got {e['input']!r}, {expected_of(e)}")
-        raise UsageError(lines) from None
 
 
 def message_of(text: str | None) -> bytes | None:

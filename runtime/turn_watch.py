@@ -9,7 +9,6 @@ process: what a journal holds is as after a kill.
 import os
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -29,8 +28,8 @@ ROOMS: Final = frozenset(
 )
 
 
-class Turns:
-    """Whose turn it is, for the watch: set at the beginning of each turn, cleared at its end.
+class TurnWatch:
+    """Looks at turns in a thread of its own until it is left.
 
     Parameters
     ----------
@@ -39,37 +38,22 @@ class Turns:
     """
 
     def __init__(self, module: str) -> None:
-        self.module = module
-        self.number = 0
-        self.under_way = False
-        self.thread = 0
+        self._module = module
+        self._number = 0
+        self._under_way = False
+        self._turns_thread = 0
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
 
     def begin(self) -> None:
         """A turn begins, on this thread."""
-        self.number += 1
-        self.thread = threading.get_ident()
-        self.under_way = True
+        self._number += 1
+        self._turns_thread = threading.get_ident()
+        self._under_way = True
 
     def over(self) -> None:
         """It has returned."""
-        self.under_way = False
-
-
-class TurnWatch:
-    """Looks at turns in a thread of its own until it is left.
-
-    Parameters
-    ----------
-    turns : Turns
-    end : callable
-        Ends the process, once a line has said why.
-    """
-
-    def __init__(self, turns: Turns, end: Callable[[int], object] = os._exit) -> None:
-        self._turns = turns
-        self._end = end
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._under_way = False
 
     def __enter__(self) -> None:
         self._thread.start()
@@ -81,17 +65,17 @@ class TurnWatch:
     def _look(self) -> None:
         seen, times = -1, 0
         while not self._left.wait(TICK_S):
-            number, thread = self._turns.number, self._turns.thread
-            if not self._turns.under_way or number != seen:
+            number, thread = self._number, self._turns_thread
+            if not self._under_way or number != seen:
                 seen, times = number, 0
                 continue
             times += 1
             if times == TICKS:
                 frame = sys._current_frames().get(thread)  # noqa: SLF001
-                call = _call(frame, self._turns.module)
+                call = _call(frame, self._module)
                 said = f"wyner: {call} has not returned for {TICKS * TICK_S:g} s"
                 os.write(2, f"{said}; a file of one's own must return\n".encode())
-                self._end(FAILED)
+                os._exit(FAILED)
 
 
 def _call(frame: FrameType | None, module: str) -> str:

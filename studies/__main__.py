@@ -78,7 +78,8 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
     except ImportError:
         raise UsageError(needs("figures", "matplotlib")) from None
     from studies import FIGURES_FOLDER
-    from studies.figures import FIGURES, FigureError, draw
+    from studies.figures import FIGURES, draw
+    from wyner.sweeps.grid import SweepError
 
     unknown = [name for name in args.name if name not in FIGURES]
     if unknown:
@@ -86,9 +87,8 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
     names = args.name or list(FIGURES)
     try:
         for name in names:
-            for path in draw(name, data, args.output or FIGURES_FOLDER):
-                print(path)
-    except FigureError as error:
+            print(draw(name, data, args.output or FIGURES_FOLDER))
+    except SweepError as error:
         raise Failure(str(error)) from None
     except OSError as error:
         raise Failure(f"{error.filename}: cannot be written: {error.strerror}") from None

@@ -20,7 +20,7 @@ from runtime.bus_options import (
 )
 from runtime.errors import UsageError
 from runtime.locks import alone_in
-from runtime.options import checked, fine, option, picked, run_dir_of
+from runtime.options import fine, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
@@ -112,7 +112,7 @@ def read_json(option: str, path: str, kind: type[M]) -> M:
     """
     from pathlib import Path
 
-    from protocol.wrong_fields import expected_of
+    from protocol.wrong_fields import wrong_fields
     from runtime.files import read_regular
 
     try:
@@ -122,12 +122,7 @@ def read_json(option: str, path: str, kind: type[M]) -> M:
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise UsageError(
-            [
-                f"{path}: {'.'.join(map(str, e['loc'])) or 'file'}: {expected_of(e)}"
-                for e in error.errors(include_url=False)
-            ]
-        ) from None
+        raise UsageError([f"{path}: {line}" for line in wrong_fields(error)]) from None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -164,14 +159,12 @@ def run_with_knowledge(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.recording import Bounds
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import TapFleet
     from tap_service.service import TapService, run_tap
 
-    limits = checked(Bounds, total_bytes=options.total_bytes)
     own_view = None if options.view is None else read_json("--view", options.view, View)
     check_addresses(options, "tap")
     field, adversary = (
@@ -195,7 +188,7 @@ def run_with_knowledge(
             names=names or default_names(told.knowledge),
             view=view,
             loop=loop,
-            limits=limits,
+            limits=options.bounds,
         )
         find_each(config.names, config.knowledge_of, where)
         return config

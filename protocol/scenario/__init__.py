@@ -6,7 +6,7 @@ is the defender's knowledge; an eavesdropper is handed a :class:`protocol.knowle
 from it, and never this.
 """
 
-from protocol.scenario.attack import Attack, attack_of
+from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.control import Control, Cost, Performance, Regulator
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Calibration, Defender
@@ -20,7 +20,6 @@ from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.plants import PLANTS
 from protocol.scenario.reading import (
     ScenarioError,
-    describe_errors,
     parse_scenario,
     set_field,
 )
@@ -34,7 +33,7 @@ __all__ = [
     "LAWS",
     "PLANTS",
     "RULES_VERSION",
-    "Attack",
+    "AttackTable",
     "Calibration",
     "ChannelTable",
     "Control",
@@ -58,7 +57,6 @@ __all__ = [
     "SensorNoise",
     "TapView",
     "attack_of",
-    "describe_errors",
     "parse_scenario",
     "set_field",
 ]

@@ -1,6 +1,5 @@
 """Scenarios read from parsed tables: each wrong field in one line."""
 
-import json
 from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any, Final
@@ -9,7 +8,7 @@ from pydantic import ValidationError
 
 from protocol.errors import WynerError
 from protocol.scenario.system import Scenario
-from protocol.wrong_fields import expected_of
+from protocol.wrong_fields import wrong_fields
 
 LARGEST_NUMBER: Final = 1e150
 """Of every number in a scenario: the square of one beyond is no number to a computer."""
@@ -44,25 +43,6 @@ def set_field(data: dict[str, Any], path: str, value: Any) -> None:
         raise ScenarioError([f"{path}: expected the path of a scenario's field"]) from None
 
 
-def describe_errors(error: ValidationError, source: str) -> list[str]:
-    """One line for each wrong field: the file, the field's path, the value, what was expected."""
-    lines = []
-    for item in error.errors(include_url=False):
-        path = ".".join(str(part) for part in item["loc"] if part not in ("number", "entries"))
-        message = expected_of(item)
-        if item["type"] == "value_error" and not path:
-            lines += [f"{source}: {part}" for part in message.split("; ")]
-            continue
-        try:
-            value = json.dumps(item["input"], default=str)
-        except ValueError:  # 0x... may be longer than Python writes out
-            value = "an endless number"
-        shown = value if len(value) <= 60 else value[:57] + "..."
-        got = "" if item["type"] == "missing" else f" got {shown},"
-        lines.append(f"{source}: {path}:{got} {message}")
-    return lines
-
-
 def _beyond(value: object, path: tuple[str, ...] = ()) -> Iterator[str]:
     """Numbers too large for any field, a line each; of any length, and in tables of any kind."""
     if isinstance(value, dict):
@@ -89,4 +69,4 @@ def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
             raise ScenarioError(beyond)
         return Scenario.model_validate(data)
     except ValidationError as error:
-        raise ScenarioError(describe_errors(error, source)) from None
+        raise ScenarioError([f"{source}: {line}" for line in wrong_fields(error)]) from None

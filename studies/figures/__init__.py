@@ -1,4 +1,4 @@
-"""Every figure of docs/, each from its data files: SVG and PNG, the same bytes twice.
+"""Every figure of docs/, each from its data files: SVG, the same bytes twice.
 
 A figure's note states its runs, seeds and intervals, all read from the data.
 """
@@ -7,31 +7,19 @@ from pathlib import Path
 
 from studies import DATA, FIGURES_FOLDER
 from studies.figures import attacks, idea, loop, network, noise, secrecy, signalling
-from studies.figures.rows import FIGURES, FigureError
+from studies.figures.rows import FIGURES
 from wyner.drawing.style import drawing, save
 
-__all__ = ["FIGURES", "FigureError", "attacks", "draw", "idea", "loop", "network", "noise",
+__all__ = ["FIGURES", "attacks", "draw", "idea", "loop", "network", "noise",
            "secrecy", "signalling"]  # fmt: skip
 
 
-def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:
-    """Draw one figure; returns the paths of its SVG and its PNG.
-
-    Raises
-    ------
-    FigureError
-        When its data cannot be read or are not complete.
-    """
+def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> Path:
+    """Draw one figure; returns the path of its SVG."""
     kind = FIGURES[name]
     output.mkdir(parents=True, exist_ok=True)
-    svg, png = output / f"{name}.svg", output / f"{name}.png"
+    path = output / f"{name}.svg"
     with drawing(kind.size) as figure:
-        try:
-            note = kind.draw(figure, data)
-        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
-            files = " or ".join(str(data / f"{file}.csv") for file in kind.data)
-            raise FigureError(f"{files}: does not have what the figure shows") from error
-        figure.supxlabel(note, fontsize=6.5, color="0.35")
-        save(figure, svg)
-        save(figure, png)
-    return svg, png
+        figure.supxlabel(kind.draw(figure, data), fontsize=6.5, color="0.35")
+        save(figure, path)
+    return path

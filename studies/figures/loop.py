@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from protocol.arrays import Array
 from studies.figures.rows import (
-    FigureError,
     Rows,
     bars,
     figure,
@@ -21,16 +20,12 @@ from studies.figures.rows import (
 from wyner.drawing.axes import draw_agreement
 from wyner.drawing.axes import draw_sets as draw_outlines
 from wyner.drawing.style import COLOURS
-from wyner.sweeps.grid import SweepError
 from wyner.sweeps.results import Summary, read_rows, summarise
 
 
 def summaries(data: Path, name: str) -> list[Summary]:
     """The points of a sweep's data file."""
-    try:
-        return summarise(read_rows(data / f"{name}.csv"))
-    except SweepError as error:
-        raise FigureError(str(error)) from None
+    return summarise(read_rows(data / f"{name}.csv"))
 
 
 def alpha_of(s: Summary) -> float:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from protocol.statistics import Interval
 from wyner.drawing.style import COLOURS, MARKERS
-from wyner.sweeps.grid import Row, SweepError
+from wyner.sweeps.grid import Row
 from wyner.sweeps.results import read_table
 
 Rows = list[Row]
@@ -45,16 +45,9 @@ def figure(name: str, *data: str, size: tuple[float, float]) -> Callable[[Draw],
     return register
 
 
-class FigureError(Exception):
-    """A figure that cannot be drawn; the text names the data file."""
-
-
 def plain_rows(path: Path) -> Rows:
     """The rows of a data file that is no sweep's, with numbers as numbers."""
-    try:
-        return [{k: _number(v) for k, v in row.items()} for row in read_table(path)]
-    except SweepError as error:
-        raise FigureError(str(error)) from None
+    return [{k: _number(v) for k, v in row.items()} for row in read_table(path)]
 
 
 def _number(text: str) -> Any:

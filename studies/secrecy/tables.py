@@ -125,24 +125,3 @@ def reliability(kinds: Sequence[Row], others: Sequence[Row]) -> Lines:
             )
         )
     return lines
-
-
-@table("misstated", "findings", "secrecy-kinds", "eavesdroppers")
-def misstated(kinds: Sequence[Row], others: Sequence[Row]) -> str:
-    """Of which classes an exact test rejects what was stated."""
-    rows = [*kinds, *others]
-    outside, least = [], 1.0
-    for low, high, mine in by_stated(rows):
-        right = sum(x for _, x in mine)
-        few, many = tails([p for p, _ in mine], right)
-        least = min(least, few, many)
-        if min(few, many) < (1 - CONFIDENCE) / 2:
-            what = "more" if few < many else "less"
-            outside.append(
-                f"{low:g} to {high:g}, where {what} is stated than {right} of {len(mine)} bears out"
-            )
-    if not outside:
-        return (
-            f"No class is off by an exact test: no tail is below 2.5 %, the least is {least:.3f}."
-        )
-    return f"Off by an exact test, at 2.5 % a tail: {'; '.join(outside)}."

@@ -138,11 +138,11 @@ def test_without_an_offer_the_ghost_rolls_on() -> None:
     ("kind", "known", "options", "line"),
     [
         ("ghost", None, NONE, "attack.knows: ghost needs 'model'"),
-        ("bias", model(), {"sees": 0.1}, "attack.sees: bias: got 0.1, "),
-        ("ghost", model(), {"share": 2}, "attack.share: ghost: got 2, "),
+        ("bias", model(), {"sees": 0.1}, "attack.sees: got 0.1, "),
+        ("ghost", model(), {"share": 2}, "attack.share: got 2, "),
         ("ghost", model(), {"share": 0.2}, "attack.push: ghost: expected at most 1 together"),
         ("ghost", model(), {"direction": [1]}, "attack.direction: got [1.0], expected 2 numbers"),
-        ("replay", None, {"share": 2}, "attack.share: replay: got 2, "),
+        ("replay", None, {"share": 2}, "attack.share: got 2, "),
         ("covert", model(), {"input": (1.0, 2.0)}, "attack.input: got [1.0, 2.0], expected 1"),
     ],
 )

@@ -96,34 +96,6 @@ def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
     assert (told["silent"], told["still_moves"]) == (False, None)
 
 
-@pytest.mark.parametrize(
-    ("kind", "low", "high"),
-    [
-        ("uniform", 0.26, 0.34),
-        ("corners", 0.07, 0.13),
-        ("constant", -0.01, 0.01),
-        ("sinusoid", 0.19, 0.25),
-        ("truncated-gaussian", 0.22, 0.30),
-    ],
-)
-def test_the_rate_is_that_of_the_scenarios_own_disturbance(
-    kind: str,
-    low: float,
-    high: float,
-    tmp_path: Path,
-    capsys: Any,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Settled shares at alpha 8, of long runs of the engine."""
-    monkeypatch.setattr(rate, "RUNS", 20)
-    monkeypatch.setattr(rate, "STEPS", 250)
-    text = PLANAR.replace("alpha = 4.0", "alpha = 8.0")
-    text = text.replace("[plant.disturbance]", f'[plant.disturbance]\nkind = "{kind}"')
-    assert main(["design", scenario(tmp_path, text), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["rate"]
-    assert low < told["agreement_probability"] < high
-
-
 def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:
     results = []
     for _ in range(2):

@@ -21,35 +21,6 @@ from wyner.dashboard.model import State, reduce_all
 from wyner.runs.score.attacked import NO_INTERVAL
 
 
-@pytest.mark.parametrize(
-    "told",
-    [
-        {"agreement_probability": 0.5},
-        {"rate": {"value": 0.5, "low": None, "high": None}},
-        {"points": [{"bits_per_second": 1.0, "interval_95": [None, None]}]},
-        {"no_interval": {"other_rate": "counted"}, "inner": {"error_rate": 0.1}},
-        {"no_interval": "", "share": 0.2},
-    ],
-)
-def test_a_figure_without_limits_and_without_a_reason_is_found(told: dict[str, Any]) -> None:
-    assert list(bare_figures(told))
-
-
-@pytest.mark.parametrize(
-    "told",
-    [
-        {"agreement_probability": 0.5, "agreement_interval_95": [0.4, 0.6]},
-        {"rate": {"value": 0.5, "low": 0.4, "high": 0.6}},
-        {"rate": {"value": 0.5, "low": None, "high": None, "no_interval": "one run"}},
-        {"no_interval": {"error_rate": "counted"}, "inner": {"error_rate": 0.1}},
-        {"no_interval": "computed", "rows": [{"share": 0.2}]},
-        {"share": None, "steps": 7},
-    ],
-)
-def test_one_with_either_is_not(told: dict[str, Any]) -> None:
-    assert list(bare_figures(told)) == []
-
-
 def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
     main([*argv, "--json"])
     return json.loads(capsys.readouterr().out)

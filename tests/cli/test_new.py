@@ -189,63 +189,27 @@ def test_a_matrix_may_be_written_as_matlab_or_numpy_write_it(text: str, tmp_path
     assert scenario.B == ((0.0,), (1.0,))
 
 
-def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "wild.toml"
-    matrices = ["--A", "[[3, 0], [0, 3]]", "--B", "[[1], [1]]", "--period", "1"]
-    assert new(path, *matrices) == 0
-    assert "says why it has no terminal set yet" in capsys.readouterr().out
-    assert main(["design", str(path)]) == 2
+ONE = ("--B", "[[1]]", "--period", "1")
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["x", "--A", "[[1]]"], "expected --A, --B and --period together"),
-        (
-            ["x", "--A", "[[1], [1, 2]]", "--B", "[[1]]", "--period", "1"],
-            "--A: got '[[1], [1, 2]]'",
-        ),
-        (["x", "--A", "[1 2; 3]", "--B", "[1; 1]", "--period", "1"], "--A: got '[1 2; 3]'"),
-        (["x", "--A", "[1 - 2]", "--B", "[1]", "--period", "1"], "--A: row 1: '-' is no number"),
-        (["x", "--A", "[[1, 2], [3, 4]", "--B", "1", "--period", "1"], "or [1 0.1; 0 1]"),
-        (["x", "--A", "[1e999]", "--B", "[1]", "--period", "1"], "--A: got '[1e999]'"),
-        (
-            ["x", "--A", "1e9", "--B", "1", "--period", "1", "--continuous"],
-            "--A, --B: sampled over 1 s",
-        ),
-        (
-            ["x", "--A", "1 0 0 0 0;" * 5, "--B", "1; 1; 1; 1; 1", "--period", "1"],
-            "--A, --B: got 5 states, 1 input, expected 1 to 4 states and 1 or 2 inputs",
-        ),
-        (["x", "--A", "one", "--B", "[[1]]", "--period", "1"], "--A: row 1: 'one' is no number"),
-        (
-            ["x", "--A", "[1 0.1; 0 x]", "--B", "[0; 1]", "--period", "1"],
-            "--A: row 2: 'x' is no number",
-        ),
-        (
-            ["x", "--A", "1 0 0 0 0;" * 5, "--B", "1; 1; 1; 1; 1", "--period", "1"],
-            "a law of your own may bring its own (docs/guides.md",
-        ),
-        (["x", "--A", "[[1]]", "--B", "[[1], [2]]", "--period", "1"], "got 1 x 1 and 2 x 1"),
-        (["x", "--A", "[[1]]", "--B", "[[1]]", "--period", "0"], "--period: got 0"),
-        (["a b"], "NAME: got 'a b'"),
-        (['a"b'], "NAME: got 'a\"b'"),
-        (["a\nb"], "NAME: got"),
-        (["x", "--A", "[[1" + "0" * 400 + "]]", "--B", "[[1]]", "--period", "1"], "--A: got '[[1"),
-        (
-            ["x", "--A", "[[NaN]]", "--B", "[[1]]", "--period", "1"],
-            "--A: row 1: 'NaN' is no number",
-        ),
-        (["x", "--A", "[[1]]", "--B", "[[1e999]]", "--period", "1"], "--B: got '[[1e999]]'"),
-        (["x", "--A", "[" * 9999, "--B", "[[1]]", "--period", "1"], "--A: got '[[["),
-        (
-            ["x", "--A", "[[9e9]]", "--B", "[[1]]", "--period", "9", "--continuous"],
-            "--A, --B: sampled over 9 s",
-        ),
-        (["x", "--A", "[[1]]", "--B", "[[1]]", "--period", "inf"], "--period: got inf"),
-        (["x", "--input", "nan"], "--input: got nan"),
+        (["--A", "[[1]]"], "expected --A, --B and --period together"),
+        (["--A", "[[1], [1, 2]]", *ONE], "--A: got '[[1], [1, 2]]'"),
+        (["--A", "[1 2; 3]", *ONE], "--A: got '[1 2; 3]'"),
+        (["--A", "[1 - 2]", *ONE], "--A: row 1: '-' is no number"),
+        (["--A", "[[1, 2], [3, 4]", *ONE], "or [1 0.1; 0 1]"),
+        (["--A", "[1e999]", *ONE], "--A: got '[1e999]'"),
+        (["--A", "[[1" + "0" * 400 + "]]", *ONE], "--A: got '[[1"),
+        (["--A", "[" * 9999, *ONE], "--A: got '[[["),
+        (["--A", "[[NaN]]", *ONE], "--A: row 1: 'NaN' is no number"),
+        (["--A", "1e9", *ONE, "--continuous"], "--A, --B: sampled over 1 s"),
+        (["--A", "1 0 0 0 0;" * 5, "--B", "1; 1; 1; 1; 1", "--period", "1"], "got 5 states, 1 inp"),
+        (["--A", "[[1]]", "--B", "[[1], [2]]", "--period", "1"], "got 1 x 1 and 2 x 1"),
+        (["--A", "[[1]]", "--B", "[[1]]", "--period", "0"], "--period: got 0"),
+        (["--A", "[[1]]", "--B", "[[1]]", "--period", "inf"], "--period: got inf"),
+        (["--input", "nan"], "--input: got nan"),
     ],
 )
 def test_what_is_wrong_is_told_in_a_line(
@@ -256,7 +220,7 @@ def test_what_is_wrong_is_told_in_a_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["new", *arguments]) == 2
+    assert main(["new", "x", *arguments]) == 2
     assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

@@ -6,8 +6,6 @@ import itertools
 import json
 import logging
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +13,6 @@ import pytest
 
 from protocol.link.events import NEW_JOURNAL
 from protocol.messages import Measurement, Offer
-from runtime.locks import alone_in
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from studies.secrecy.runs import Run, simulate
@@ -184,23 +181,6 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_export_to_csv(
-    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "c.csv"
-    code, out, err = call(capsys, "report", run_dir, "--output", path)
-    assert (code, out) == (0, f"{path}\n")
-    rows = read_csv(path)
-    assert len(rows) == len(run.messages)
-    for row, message in zip(rows, run.messages, strict=True):
-        assert (row["topic"], int(row["k"])) == (message.topic, message.k)
-        if message.topic == "measurement":
-            assert tuple(json.loads(row["x"])) == message.x  # type: ignore[union-attr]
-        else:
-            assert int(row["cipher"]) == message.cipher  # type: ignore[union-attr]
-    assert "2001 messages, 0 undecodable left out, 0 torn lines" in err
-
-
 def test_export_to_mcap_is_read_by_the_public_reader(
     run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -286,43 +266,6 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
         assert (code, out) == (2, "")
         assert err.startswith(f"wyner: {later}: line 1: view: differs from the first part's")
         assert len(err.splitlines()) == 1
-
-
-def test_bad_knowledge_gets_one_line_a_field(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "k.json"
-    file.write_text('{"scenario": "s", "candidates": "two", "secret": 1}')
-    code, _, err = call(capsys, "tap", "--knowledge", file, "--run-dir", tmp_path / "d")
-    assert code == 2
-    assert len(err.splitlines()) == 3
-    for field in ("period_s", "candidates", "secret"):
-        assert f"k.json: {field}:" in err
-
-
-def test_a_second_tap_in_a_folder_is_refused(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    code = (
-        "import sys, pathlib\n"
-        "from runtime.locks import alone_in\n"
-        "with alone_in(pathlib.Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()\n"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "tap")],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as first:
-        assert first.stdout is not None
-        assert first.stdout.readline() == b"held\n"
-        args = ("tap", "--scenario", "sustained", "--run-dir", tmp_path)
-        status, _, err = call(capsys, *args)
-        first.kill()
-        first.wait()
-    assert status == 2
-    assert err == f"wyner: --run-dir: {tmp_path / 'tap'}: another process is using it\n"
-    with alone_in(tmp_path / "tap"):
-        pass
 
 
 def test_export_of_steps_has_one_column_a_number(

@@ -21,7 +21,7 @@ from runtime.shipped import SCENARIOS
 from runtime.user_code import UserCodeError
 from tests.support.safety import violations
 from wyner.simulate.engine import simulate_runs
-from wyner.simulate.network import simulate
+from wyner.simulate.network import Simulation
 
 
 class Ends(ScenarioTable):
@@ -102,7 +102,7 @@ def test_the_engine_and_the_simulated_network_ask_it(scenario: Scenario) -> None
         offered = law.candidates(runs.x[k, :, 2].tolist())
         assert [tuple(u) for u in runs.candidates[k, :, :, 2].tolist()] == list(offered)
     assert (runs.symbol >= 0).any()
-    history = simulate(scenario, law, seed=3, steps=1200, payload=b"x")
+    history = Simulation(scenario, law, seed=3, payloads=(b"x",)).run(steps=1200)
     assert list(violations(history, (b"x",))) == []
     assert history.delivered == [0]
 

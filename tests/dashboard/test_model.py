@@ -29,7 +29,6 @@ from wyner.dashboard.model import (
 from wyner.dashboard.score import (
     SecrecyScore,
     characters_right,
-    model_error,
     ranked,
     score,
     secrecy,
@@ -312,21 +311,6 @@ def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
     assert not late.taps["late"].watched
     blind = reduce(State(), Arrival(1, state_after(20).taps["list-decoder"].status))
     assert not blind.taps["list-decoder"].watched, "nobody knows the truth yet"
-
-
-def test_model_error_is_relative_and_zero_for_the_true_model() -> None:
-    state = state_after(100)
-    model = state.model
-    assert model is not None
-    exact = with_tap(state, "list-decoder", A=model.A, B=model.B)
-    assert model_error(exact, exact.taps["list-decoder"]) == 0
-    nothing = with_tap(state, "list-decoder", A=((0.0, 0.0), (0.0, 0.0)), B=((0.0,), (0.0,)))
-    off = model_error(nothing, nothing.taps["list-decoder"])
-    assert off is not None
-    assert math.isclose(off, 1)
-    assert model_error(state, state.taps["set-membership"]) is None
-    misshapen = with_tap(state, "list-decoder", A=((1.0,),), B=((1.0,),))
-    assert model_error(misshapen, misshapen.taps["list-decoder"]) is None
 
 
 def test_the_tap_that_reads_the_text_ranks_before_one_that_only_guesses_keys() -> None:

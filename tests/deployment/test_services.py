@@ -5,8 +5,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
@@ -14,7 +12,6 @@ from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 from tests.support.patience import PATIENCE_S
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
-from wyner.deployment import supervisor
 from wyner.deployment.access import access_control
 from wyner.deployment.supervisor import Child, Supervisor
 
@@ -126,23 +123,3 @@ def test_it_is_supervised_and_its_health_is_told(
         Supervisor([child], "counting", "").stop()
     assert child.process is not None
     assert child.process.returncode == 0
-
-
-def test_a_log_is_begun_again_where_it_is_long(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(supervisor, "LOG_BYTES", 1000)
-    child = Child("plant", [], tmp_path / "log")
-    with child.log.open("ab") as log:
-        child.process = cast("Any", SimpleNamespace(poll=lambda: None))
-        for i in range(100):
-            log.write(b"%49d\n" % i)
-            log.flush()
-            child.poll(0.0)
-            assert child.log.stat().st_size < 1000
-    old = (tmp_path / "log.old").read_text().split()
-    assert [int(line) for line in old] == list(range(80, 100))
-    assert child.last_line() == "no reason given"  # of this log; the old one is beside it
-    with child.log.open("ab") as log:
-        log.write(b"wyner: it ended\n")
-    assert child.last_line() == "it ended"

@@ -51,14 +51,14 @@ TWO = '[[loop]]\nid = "two"\nseed = 2\n'
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "loop: expected at least one table"),
-        ("loop = 3", "loop: expected at least one table"),
-        ("x = 1\n" + ONE, "x: expected tables"),
-        ("[[loop]]\n", "loop 1: id: expected"),
-        ('[[loop]]\nid = "a b"\n', "loop 1: id: loop: got 'a b'"),
-        ('[[loop]]\nid = "a"\nseed = -1\n', "loop 1: seed: "),
-        ('[[loop]]\nid = "a"\ncolour = 1\n', "loop 1: colour: "),
-        (ONE + ONE, "loop 2: id: 'one' is there already"),
+        ("", "loop: expected here"),
+        ("loop = 3", "loop: got 3, expected a list"),
+        ("x = 1\n" + ONE, "x: got 1, no such field"),
+        ("[[loop]]\n", "loop.0.id: expected"),
+        ('[[loop]]\nid = "a b"\n', "loop.0.id: got \"a b\", loop: got 'a b'"),
+        ('[[loop]]\nid = "a"\nseed = -1\n', "loop.0.seed: got -1, "),
+        ('[[loop]]\nid = "a"\ncolour = 1\n', "loop.0.colour: got 1, no such field"),
+        (ONE + ONE, "an id for each of its own"),
         ("[[loop", "not TOML"),
     ],
 )

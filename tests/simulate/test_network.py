@@ -10,7 +10,7 @@ from protocol.scenario import Scenario
 from tests.support.safety import violations
 from tests.support.size import size
 from wyner.simulate.faults import Faults
-from wyner.simulate.network import Simulation, simulate
+from wyner.simulate.network import Simulation
 
 PAYLOADS = (b"first", b"second message", b"3")
 
@@ -49,7 +49,9 @@ def test_safety_always_and_delivery_once_all_is_well(
 def test_without_faults_nothing_is_missed_and_time_does_not_pass(
     sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
-    history = simulate(sustained, sustained_law, seed=7, steps=2000, payload=b"abc")
+    both = Simulation(sustained, sustained_law, seed=7, payloads=(b"abc",))
+    both.run(steps=2000)
+    history = both.run(until=lambda: len(both.history.controller) >= 2000)
     assert len(history.plant) == len(history.controller) == 2000
     assert history.missed == 0
     assert history.inbox == [b"abc"]

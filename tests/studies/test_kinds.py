@@ -8,7 +8,7 @@ import pytest
 from protocol.statistics import MISSTATED, wilson
 from studies.registry import Row, recorded
 from studies.secrecy.kinds import KEPT_BACK, MESSAGES, messages
-from studies.secrecy.tables import STATED_HEAD, median, misstated, reliability, tails
+from studies.secrecy.tables import STATED_HEAD, median, reliability, tails
 from tap_service.inference.expectation import expected
 from tap_service.inference.message_reader import SURE
 
@@ -86,13 +86,3 @@ def test_the_tails_of_a_count_are_exact() -> None:
     assert tails([0.3] * 10, 4) == pytest.approx((sum(alike[:5]), sum(alike[4:])))
     assert tails([0.9, 0.5, 0.2], 0) == pytest.approx((0.1 * 0.5 * 0.8, 1.0))
     assert tails([0.9, 0.5, 0.2], 3) == pytest.approx((1.0, 0.9 * 0.5 * 0.2))
-
-
-def test_a_tap_that_states_too_much_or_too_little_is_called_so() -> None:
-    def rows_of(stated: float, right: int) -> list[Row]:
-        told = [1] * right + [0] * (100 - right)
-        return [{"probability": str(stated), "likeliest_exact": str(x)} for x in told]
-
-    assert "no tail is below" in misstated(rows_of(0.8, 80), [])
-    assert "0.5 to 0.9, where more is stated than 60 of 100" in misstated(rows_of(0.8, 60), [])
-    assert "0.5 to 0.9, where less is stated than 95 of 100" in misstated(rows_of(0.8, 95), [])

@@ -81,7 +81,7 @@ def facts(state: State) -> Iterator[Fact]:
             at = f" at step {plant.message_k}" if plant.message_k >= 0 else ""
             yield "message", n, f"message {n} recovered{at}: {_quoted(plant.last_message)}"
     for name, tap in state.taps.items():
-        yield from _of_tap(printable(name), tap, state)
+        yield from _of_tap(printable(name), tap)
     if (hers := attacker(state)) is not None:
         if hers.key_bits_held:
             bits = f"tap {printable(hers.name)} holds {hers.key_bits_held} bits of keys"
@@ -90,22 +90,17 @@ def facts(state: State) -> Iterator[Fact]:
             yield text.partition(":")[0], True, printable(text)
 
 
-def _of_tap(name: str, tap: TapState, state: State) -> Iterator[Fact]:
+def _of_tap(name: str, tap: TapState) -> Iterator[Fact]:
     yield f"tap {name}", True, f"tap {name} listens"
     failed, solved = tap.status.failed, tap.status.solved_k
     if failed:
         yield f"{name} failed", failed, f"tap {name} FAILED: {printable(failed)}"
     if tap.exact:
-        unsure = "" if solved >= 0 else ", and is not sure yet"
-        line = f"tap {name} holds the true message{unsure}: {_quoted(tap.status.message)}"
-        yield f"{name} exact", True, line
+        yield f"{name} exact", True, f"tap {name} has the message: {_quoted(tap.status.message)}"
     if solved >= 0:
-        judged = "and it is the true one" if tap.exact else "but it is not a true one"
-        if not state.texts:  # a replay: nobody here knows the truth
-            judged = _quoted(tap.status.message)
-        known = tap.watched or not state.texts
-        line = f"tap {name} was sure of a message at step {solved}"
-        yield f"{name} sure", solved, f"{line}, {judged}" if known else line
+        wrong = tap.watched and not tap.exact
+        judged = ", but it is not a true one" if wrong else ""
+        yield f"{name} sure", solved, f"tap {name} was sure of a message at step {solved}{judged}"
 
 
 def progress(state: State) -> str:

@@ -288,22 +288,5 @@ def characters_right(state: State, tap: TapState) -> tuple[int, int]:
     return _right(truth, tap.status.message), len(letters(truth))
 
 
-def model_error(state: State, tap: TapState) -> float | None:
-    """Distance of Eve's [A B] from the plant's, relative, Frobenius norm; None: no model."""
-    model, status = state.model, tap.status
-    if model is None or not status.A or not status.B:
-        return None
-    hers = [*_entries(status.A), *_entries(status.B)]
-    true = [*_entries(model.A), *_entries(model.B)]
-    if len(hers) != len(true):
-        return None
-    size = math.hypot(*true)
-    return math.hypot(*(a - b for a, b in zip(hers, true, strict=True))) / size if size else None
-
-
-def _entries(matrix: tuple[tuple[float, ...], ...]) -> list[float]:
-    return [entry for row in matrix for entry in row]
-
-
 def _right(truth: str, text: str) -> int:
     return sum(a == b for a, b in zip(letters(truth), letters(text), strict=False))

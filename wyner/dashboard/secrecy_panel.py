@@ -7,16 +7,15 @@ from typing import Final
 from rich.text import Text
 
 from wyner.dashboard.model import State, TapState
-from wyner.dashboard.parts import LABEL, VALUE_AT, labelled, line
+from wyner.dashboard.parts import VALUE_AT, labelled, line
 from wyner.dashboard.score import (
     Score,
     SecrecyScore,
     attacker,
     characters_right,
     contradictions,
-    model_error,
 )
-from wyner.dashboard.text import LEVELS, STYLES, count, drawn, figure, longest, number, percent
+from wyner.dashboard.text import LEVELS, STYLES, count, drawn, figure, longest, percent
 
 BARS: Final = 30
 """Cells of the bar of the bits that the paper's rule counts."""
@@ -105,48 +104,22 @@ def held(state: State, room: int) -> tuple[str, str]:
     return longest(room, f"{of}, {missed}", of, bits), "bad" if hers.key_bits_held else "good"
 
 
-HEADINGS: Final = (
-    ("keys found %", 12),
-    ("secret bit/key", 14),
-    ("letters right", 13),
-    ("whole at step", 14),
-    ("texts tried", 11),
-    ("model error", 11),
-)
-"""Columns and their widths, the last two only from `WIDE` cells on."""
-
-WIDE: Final = 100
+HEADING: Final = "keys found % secret bit/key letters right  whole at step"
 
 
-def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]], width: int) -> list[Text]:
+def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]]) -> list[Text]:
     """A row for each tap."""
-    columns = HEADINGS if width >= WIDE else HEADINGS[:4]
-    head = "".join(f" {title:>{cells}}" for title, cells in columns)
-    lines = [line(f" {'eavesdropper':<{LABEL}}{head}", STYLES["label"])]
+    lines = [labelled("eavesdropper", line(HEADING, STYLES["label"]))]
     for tap, its in shown:
-        values = (
-            keys_right(its),
-            figure(its.bits_per_key),
-            _message_right(state, tap),
-            _broke(tap),
-            count(tap.status.candidates_left) if tap.status.candidates_left else "-",
-            _model_off(state, tap),
-        )
-        row = "".join(f" {v:>{cells}}" for v, (_, cells) in zip(values, columns, strict=False))
-        lines.append(labelled(tap.status.name, line(row.removeprefix(" "))))
+        bits, right = figure(its.bits_per_key), _message_right(state, tap)
+        row = f"{keys_right(its):>12} {bits:>14} {right:>13} {_broke(tap):>14}"
+        lines.append(labelled(tap.status.name, line(row)))
     return lines if shown else [*lines, line(" none")]
 
 
 def _message_right(state: State, tap: TapState) -> str:
     right, total = characters_right(state, tap)
     return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
-
-
-def _model_off(state: State, tap: TapState) -> str:
-    off = model_error(state, tap)
-    if off is None:
-        return "-"
-    return "0 %" if off == 0 else f"{number(100 * off)} %"
 
 
 def keys_right(its: Score) -> str:

@@ -39,9 +39,6 @@ SMALLEST: Final = (80, 24)
 SILENT_AFTER_NS: Final = 2_000_000_000
 """A service that has not been heard for this long is called silent."""
 
-REASON_AT_LEAST: Final = 12
-"""Cells of a reason in the first line, which is cut there; it gets more where there is room."""
-
 LOOP_ROWS: Final = 9
 """Lines of the panel of the loop on a screen of 24."""
 
@@ -65,9 +62,8 @@ HELP: Final = (
     "paper's rule: bits that it counts as secret. true: what the best eavesdropper",
     "leaves of them at most. bit/s: what was sent, how much of it may be secret.",
     "keys found: per cent, [95 % limits, however often you look]. secret bit/key:",
-    "-log2 of Eve's chance, at most. texts tried: how many possible messages Eve is",
-    "comparing. model error: how far Eve's A and B are off. whole at step: when Eve",
-    "was sure of the text. Eve's probabilities are its own claims: no interval.",
+    "-log2 of Eve's chance, at most. whole at step: when Eve was sure of the text.",
+    "Eve's probabilities are its own claims: no interval.",
     "reported, true: what the sensor says and what is so, under an attack.",
     "`wyner report` writes the same comparison as a page, once a run is over.",
 )
@@ -123,19 +119,15 @@ class _Page:
         spare -= more_taps
         explained = spare >= 4
         spare -= explained
-        texts = 1
-        if spare >= 8:
-            texts += max(0, min((spare - 4) // 2, len(self.taps) - 1))
-            spare -= 2 * (texts - 1)
         shown = self.taps[: 1 + more_taps] if table else []
         hidden = 0 < len(shown) < len(self.taps)
         note = f"the strongest {len(shown)} of {len(self.taps)} eavesdroppers" if hidden else ""
         below = [rule("Secrecy", self.width, note), *amounts(self.secrecy, self.width), *keys]
         if table:
-            below += eavesdroppers(self.state, shown, self.width)
+            below += eavesdroppers(self.state, shown)
         if explained:
             below.append(explanation(self.secrecy, self.width))
-        panels = [self.top(LOOP_ROWS + spare), self.message(texts), [*below, *caption]]
+        panels = [self.top(LOOP_ROWS + spare), self.message(), [*below, *caption]]
         for spared in (1, 0):
             if sum(map(len, panels)) > height - 1:
                 panels.pop(spared)
@@ -154,42 +146,43 @@ class _Page:
         return [rule(drawn(title), self.width), *(line(f" {row}") for row in rows)]
 
     def header(self) -> Text:
-        """One line: what is watched and how it is; the less telling parts go where it is narrow."""
-        parts, reasons = self._parts()
-        least = sum(2 + min(cell_len(text), REASON_AT_LEAST) for text in reasons)
-        while len(parts) > 1 and least + sum(2 + cell_len(t) for _, t in parts) > self.width:
-            parts.remove(max(parts, key=lambda part: part[0]))
-        shown = line(" " + "  ".join([*(text for _, text in parts), *reasons]), "reverse")
+        """One line: what is watched and how it is; what tells less is last, and goes first."""
+        parts, about = self._parts()
+        while about and sum(2 + cell_len(part) for part in (*parts, *about)) > self.width:
+            about.pop()
+        shown = line(" " + "  ".join([*parts, *about]), "reverse")
         shown.truncate(self.width, overflow="ellipsis", pad=True)
         return shown
 
-    def _parts(self) -> tuple[list[tuple[int, str]], list[str]]:
-        """What the first line says, each with its rank: the highest goes first; and the reasons."""
+    def _parts(self) -> tuple[list[str], list[str]]:
+        """What the first line says, and what it can do without."""
         plant, model, controller = self.state.plant, self.state.model, self.state.controller
-        parts: list[tuple[int, str]] = [(0, self.view.title or "wyner")]
-        if plant is None:
-            parts.append((0, "waiting for the plant"))
-        else:
-            if model is not None:
-                parts += [(5, drawn(model.scenario)), (4, f"pace {drawn(model.pace)}")]
-                parts += [(7, f"alpha {number(model.alpha)}")]
-            known = plant.phase in ("running", "refused")
-            phase = plant.phase if known else in_words("plant", plant.phase)
-            parts += [(8, f"session {plant.session[:8]}"), (2, phase)]
-            if model is not None and model.seeded:
-                parts.append((3, "SEEDED: no secret"))
-            if plant.frames_refused:
-                parts.append((2, f"{count(plant.frames_refused)} frames refused"))
-            if plant.attack:
-                parts.append((1, f"ATTACK: {drawn(plant.attack)}"))
-        if controller is not None and controller.phase != "running":
-            parts.append((1, in_words("controller", controller.phase)))
+        parts: list[str] = [self.view.title or "wyner"]
+        about: list[str] = []
         if self.view.frozen:
             steps = self.view.held_steps
-            parts.append((0, f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}"))
-        parts += [(1, f"{name} silent") for name in self._silent()]
+            parts.append(f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}")
+        if plant is None:
+            parts.append("waiting for the plant")
+        else:
+            if model is not None:
+                parts.append(drawn(model.scenario))
+                about = [f"pace {drawn(model.pace)}", f"alpha {number(model.alpha)}"]
+            known = plant.phase in ("running", "refused")
+            parts.append(plant.phase if known else in_words("plant", plant.phase))
+            about.append(f"session {plant.session[:8]}")
+            if model is not None and model.seeded:
+                parts.append("SEEDED: no secret")
+            if plant.frames_refused:
+                parts.append(f"{count(plant.frames_refused)} frames refused")
+            if plant.attack:
+                parts.append(f"ATTACK: {drawn(plant.attack)}")
+        if controller is not None and controller.phase != "running":
+            parts.append(in_words("controller", controller.phase))
         ends = (end for end in (plant, controller) if end is not None)
-        return parts, [drawn(end.detail) for end in ends if end.detail]
+        reasons = [drawn(end.detail) for end in ends if end.detail]
+        silent = [f"{name} silent" for name in self._silent()]
+        return [*parts, *silent, *reasons], about
 
     def _silent(self) -> list[str]:
         """The services whose statuses stopped without a last one that says so."""
@@ -272,9 +265,9 @@ class _Page:
             where = (f"at most {steps} to the target set", f"{steps} off")
         if not self.state.away:
             return line(longest(width, f" state: {where[0]}", f" state: {where[1]}"))
-        off = f"{number(self.state.away)} away"
-        long, short = f" reported {where[0]}; the plant is {off}", f" reported {where[1]}; is {off}"
-        return line(longest(width, long, short), STYLES["bad"])
+        off = f"plant {number(self.state.away)} away"
+        told = longest(width, f" reported {where[0]}; {off}", f" reported {where[1]}; {off}")
+        return line(told, STYLES["bad"])
 
     def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
         """A row for each component with its history, as far as there is room.
@@ -350,11 +343,10 @@ class _Page:
             lines.append(row)
         return lines
 
-    def message(self, taps: int) -> list[Text]:
-        """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
+    def message(self) -> list[Text]:
+        """Sent, recovered and what Eve has, one below the other, wrong characters marked with ^."""
         state = self.state
         sent, recovered = letters(state.sent), letters(state.recovered)
-        shown = [tap for tap, _ in self.taps if tap.status.key_bits_held < 0][:taps]
         start = self._start(sent, len(recovered))
         note = f"{len(recovered)} of {len(sent)} characters"
         if its := state.controller:
@@ -362,21 +354,19 @@ class _Page:
         lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
-        for tap in shown:
-            truth = letters(truth_for(state, tap.status.message))
-            same = truth == sent
-            hers = letters(tap.status.message)
-            hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
-            guess, marks = self._marked(hers, truth, start if same else 0)
-            lines.append(labelled(tap.status.name, guess))
-            if tap.status.failed:
-                lines.append(labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"])))
-                continue
-            wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
-            lines.append(labelled(wrong if same else f"{wrong}, old", marks))
-        if not shown:
-            lines += [labelled(text, line()) for text in _NO_TAP]
-        return lines
+        tap = next((tap for tap, _ in self.taps if tap.status.key_bits_held < 0), None)
+        if tap is None:
+            return [*lines, *(labelled(text, line()) for text in _NO_TAP)]
+        truth = letters(truth_for(state, tap.status.message))
+        same = truth == sent
+        hers = letters(tap.status.message)
+        hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
+        guess, marks = self._marked(hers, truth, start if same else 0)
+        lines.append(labelled(tap.status.name, guess))
+        if tap.status.failed:
+            return [*lines, labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"]))]
+        wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
+        return [*lines, labelled(wrong if same else f"{wrong}, old", marks)]
 
     def _start(self, sent: str, grown: int) -> int:
         """The first character shown of a message that has grown so far."""

@@ -1,7 +1,6 @@
 """The three services as child processes: started, watched, started again when killed, stopped."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import Failure
-from runtime.files import make_folder, open_private, replacing
+from runtime.files import make_folder, open_private
 from runtime.recording import ended
 from runtime.services import SERVICES
 from runtime.signals import STOP_WITH_STDIN
@@ -32,9 +31,6 @@ STOP_S: Final = 5.0
 
 START_S: Final = 60.0
 """Seconds that the first service has to come up, as long as it lives: a machine may be busy."""
-
-LOG_BYTES: Final = 8 << 20
-"""A service's log grows to this size; then it is kept as ``log.old``, and a new one begun."""
 
 
 @dataclass
@@ -96,7 +92,6 @@ class Child:
         """
         if self.returned is not None or self.process is None:
             return self.returned
-        self._bound_log()
         code = self.process.poll()
         if code is None:
             return None
@@ -111,14 +106,6 @@ class Child:
             self._let_go()
             self.start()
         return self.returned
-
-    def _bound_log(self) -> None:
-        """Begin the log again where it is long; the service appends, and notices nothing."""
-        with suppress(OSError):
-            if self.log.stat().st_size >= LOG_BYTES:
-                with replacing(self.log.with_name("log.old")) as old:
-                    shutil.copyfile(self.log, old)
-                os.truncate(self.log, 0)
 
     def stop(self) -> None:
         """Ask the process to stop, then make it."""

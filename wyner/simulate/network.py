@@ -411,20 +411,3 @@ class Simulation:
                 carries = self._scheme.pad(state.link.state) != NO_SYMBOL
                 self.history.offered.append((state.link.transitions, carries, offer))
         self._offered.clear()
-
-
-def simulate(
-    scenario: Scenario,
-    law: Law,
-    *,
-    seed: int,
-    steps: int,
-    payload: bytes = b"",
-    faults: Faults | None = None,
-) -> History:
-    """Simulate ``steps`` steps in lock-step, and let the last transition be counted."""
-    payloads = (payload,) if payload else ()
-    simulation = Simulation(scenario, law, seed=seed, payloads=payloads, faults=faults)
-    simulation.run(steps=steps)
-    last = len(simulation.history.plant)
-    return simulation.run(until=lambda: len(simulation.history.controller) >= last)

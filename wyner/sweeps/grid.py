@@ -15,8 +15,9 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
+from protocol.scenario import Scenario, ScenarioError, parse_scenario, set_field
 from protocol.schemes.registry import scheme_named
+from protocol.wrong_fields import wrong_fields
 from runtime.files import read_regular
 from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS
@@ -153,7 +154,7 @@ def load_sweep(path: Path) -> Sweep:
     try:
         return Sweep.model_validate(data)
     except ValidationError as error:
-        raise SweepError(describe_errors(error, str(path))) from None
+        raise SweepError([f"{path}: {line}" for line in wrong_fields(error)]) from None
 
 
 # --- points ----------------------------------------------------------------------------
