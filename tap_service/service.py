@@ -234,7 +234,7 @@ class TapService:
                     "seq": self._seq,
                     "t_ns": time.time_ns(),
                     "mirrored": self.capture.written,
-                    "dropped": its.dropped + self._dropped(),
+                    "dropped": self._dropped(),
                     "malformed": self._complaints.total,
                     "restarts": its.restarts + self._restarts,
                 }
