@@ -96,11 +96,3 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")])
     assert asked[-2:] == [("caught", slowest), ("unseen", slowest)]
     assert "caught 1 step after its onset" in json.loads(capsys.readouterr().out)["verdict"][-1]
-
-
-@pytest.mark.parametrize("option", [["--steps", "9"], ["--story"], ["--scenario", "paper"]])
-def test_an_option_that_the_demo_chooses_itself_is_refused(
-    option: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["up", "--demo", *option]) == 2
-    assert f"{option[0]}: cannot be given with --demo" in capsys.readouterr().err

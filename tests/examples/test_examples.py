@@ -133,6 +133,14 @@ def test_the_readmes_programs_print_what_stands_below_them(
     assert capsys.readouterr().out == printed
 
 
+@pytest.mark.slow
+def test_the_guides_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    guides = (ROOT / "docs" / "guides.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(from wyner .*?)```", guides, re.DOTALL)
+    exec(compile(code, "guides.md", "exec"), {})
+    assert "We sail at dawn." in capsys.readouterr().out
+
+
 def test_the_readme_has_the_numbers_of_the_papers_example() -> None:
     out = printed(ROOT / "examples" / "paper_scheme.py")
     rates = re.findall(r": (\S+ \[\S+, \S+\]) bit/s", out)

@@ -63,12 +63,12 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(folder: Path) -> 
     assert any(line.endswith("100.0 % of bits, whole") for line in lines)
     assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
     # each symbol of the message is right, and others stand between them: no frame fits
-    assert any(line.endswith("100.0 % of bits, 1234 stray symbols") for line in lines)
+    assert any(line.endswith("100.0 % of bits, 1234 bits too many") for line in lines)
     summary["taps"]["nearest-centre"]["stray_steps"] = 1
-    assert "100.0 % of bits, 1 stray symbol\n" in render(summary)
+    assert "100.0 % of bits, 1 bit too many\n" in render(summary)
     assert any(line.endswith(f"not scored: {SILENT}") for line in lines)
     assert any(line.endswith(f"not scored: {UNFINISHED}: {AGAIN}") for line in lines)
-    assert any(line.endswith(f"17 steps not looked at: {AGAIN}") for line in lines)
+    assert any(line.endswith(f"17 steps not read yet: {AGAIN}") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()
     assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
     step = summary["delivered_k"]

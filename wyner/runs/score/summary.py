@@ -184,7 +184,7 @@ def render(summary: dict[str, Any]) -> str:
         if told := unused_in_words(tap["unused"]):
             lines += _folded(f"Eve        {name:<{NAME_WIDTH}}", f"not used: {told}")
         if tap["steps_not_looked_at"]:
-            late = f"{tap['steps_not_looked_at']} steps not looked at: {AGAIN}"
+            late = f"{tap['steps_not_looked_at']} steps not read yet: {AGAIN}"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
     if summary["taps"]:
         lines.append(f"           {ONE_RUN}")
@@ -317,7 +317,7 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
     elif not tap["messages_exact"] and tap["stray_steps"]:
         # each of the message's symbols may be right: others stand between them, and no frame fits
         stray = tap["stray_steps"]
-        whole = f"{stray} stray symbol{'s' if stray > 1 else ''}"
+        whole = f"{stray} bit{'s' if stray > 1 else ''} too many"
     return (
         f"{share(tap['symbols_known'])} of keys, "
         f"{share(tap['message_bit_accuracy'])} of bits, {whole}"
