@@ -87,8 +87,7 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
     names = args.name or list(FIGURES)
     try:
         for name in names:
-            for path in draw(name, data, args.output or FIGURES_FOLDER):
-                print(path)
+            print(draw(name, data, args.output or FIGURES_FOLDER))
     except SweepError as error:
         raise Failure(str(error)) from None
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Every figure of docs/, each from its data files: SVG and PNG, the same bytes twice.
+"""Every figure of docs/, each from its data files: SVG, the same bytes twice.
 
 A figure's note states its runs, seeds and intervals, all read from the data.
 """
@@ -14,13 +14,12 @@ __all__ = ["FIGURES", "attacks", "draw", "idea", "loop", "network", "noise",
            "secrecy", "signalling"]  # fmt: skip
 
 
-def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:
-    """Draw one figure; returns the paths of its SVG and its PNG."""
+def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> Path:
+    """Draw one figure; returns the path of its SVG."""
     kind = FIGURES[name]
     output.mkdir(parents=True, exist_ok=True)
-    svg, png = output / f"{name}.svg", output / f"{name}.png"
+    path = output / f"{name}.svg"
     with drawing(kind.size) as figure:
         figure.supxlabel(kind.draw(figure, data), fontsize=6.5, color="0.35")
-        save(figure, svg)
-        save(figure, png)
-    return svg, png
+        save(figure, path)
+    return path

@@ -308,19 +308,6 @@ def test_a_device_that_fails_is_safe_before_anything_else_happens(where: str) ->
     assert device.calls[-2:] == ["safe", "close"]
 
 
-def test_the_watchdog_bites_once_and_for_good() -> None:
-    bench = Bench(Device(), watchdog_s=2.5)
-    bench.do(bench.offer(0.2))
-    for now in (1.0, 2.0):
-        bench.do(bench.endpoint.wake(now))
-    assert bench.endpoint.wake_at() <= 2.7
-    with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
-        bench.do(bench.endpoint.wake(2.71))
-    assert bench.device.calls[-1] == "safe"
-    with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
-        bench.do(bench.offer(3.0))
-
-
 @pytest.mark.parametrize("begun", [False, True], ids=["read", "begun"])
 def test_the_watchdog_watches_a_plant_that_was_started_again_from_the_first_second(
     begun: bool,
@@ -350,32 +337,6 @@ def test_a_plant_that_has_never_moved_has_time_to_meet_its_controller() -> None:
         met.do(met.endpoint.wake(now))
     with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
         met.do(met.endpoint.wake(3.51))
-
-
-def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    bench.do(bench.endpoint.wake(3.4))
-    assert bench.news.punctuality.overruns == 2
-    assert bench.record.link.k == 1
-    assert bench.endpoint.wake_at() > 3.4
-
-
-def test_a_device_runs_at_its_own_pace_only() -> None:
-    for step_s in (None, 0.1):
-        device = Device()
-        with pytest.raises(UsageError, match="--pace: expected realtime, as the plant is a device"):
-            open_core(
-                line(),
-                plant_journal(),
-                SeededSymbols(1, COIN),
-                Stream(1, 0, width=0),
-                lambda: "1" * 16,
-                0.0,
-                Pacing(step_s, 4, 0.0),
-                own=device,
-            )
-        assert device.calls == ["close"]
 
 
 @pytest.mark.slow

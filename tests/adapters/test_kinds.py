@@ -171,23 +171,6 @@ def test_gymnasium_pendulum_is_read_and_set_in_full_precision() -> None:
     plant.close()
 
 
-@pytest.mark.parametrize(
-    ("id_", "state", "period_s", "says"),
-    [
-        ("Pendulum-v1", "state", 0.1, "its step is 0.05 s, got a period_s of 0.1"),
-        ("NoSuchPlant-v0", None, 0.1, "NoSuchPlant-v0: Environment .*doesn't exist"),
-    ],
-)
-def test_environments_that_do_not_fit(
-    id_: str, state: str | None, period_s: float, says: str
-) -> None:
-    pytest.importorskip("gymnasium")
-    from plant_service.adapters.gymnasium_env import make
-
-    with pytest.raises(PlantError, match=says):
-        make(id_, state, None, period_s)
-
-
 ENVIRONMENTS = """
 import gymnasium
 import numpy as np

@@ -176,17 +176,6 @@ def test_without_a_set_to_begin_with_the_bounds_are_asked_for() -> None:
         synthesise(scenario)
 
 
-def test_one_state_and_many_states_give_the_same_candidates() -> None:
-    rng = np.random.default_rng(3)
-    for name in SHIPPED:
-        law, design = system(shipped(name))
-        V = corners(*design.set(min(3, design.horizon)))
-        X = rng.permutation(V)[:20] * rng.uniform(0, 1, (min(20, len(V)), 1))
-        many = law.candidates_many(X)
-        for x, row in zip(X.tolist(), many.tolist(), strict=True):
-            assert law.candidates(x) == tuple(map(tuple, row))
-
-
 def test_a_bet_is_made_on_request() -> None:
     scenario = shipped("packed", candidates=2, alpha=2.68)
     control = scenario.control.model_dump(exclude_none=True) | {"alphabet": {"spacing": 1.834}}

@@ -9,10 +9,10 @@ import pytest
 import controller_service.laws.programs as programs_module
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import ProgramError
-from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
+from controller_service.laws.programs import General, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, synthesise
-from protocol.scenario import Cost, Scenario
+from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
@@ -133,19 +133,3 @@ def test_plants_beyond_the_route_are_refused() -> None:
     data["control"]["gain"] = [[-0.1, 0.0, 0.0]] * 3
     with pytest.raises(SynthesisError, match="3 states and 3 inputs"):
         synthesise(Scenario.model_validate(data))
-
-
-def test_the_expanded_cost_is_the_cost() -> None:
-    rng = np.random.default_rng(6)
-    A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
-    cost = Cost(next_state=(1.0, 2.0, 0.0), input=(0.5, 3.0))
-    q = Quadratic.of(A, B, cost)
-    x = rng.normal(size=3)
-
-    def value(u: np.ndarray) -> float:
-        c = A @ x + B @ u
-        return float(c @ (np.array([1.0, 2.0, 0.0]) * c) + u @ (np.array([0.5, 3.0]) * u))
-
-    u = rng.normal(size=2)
-    expanded = 0.5 * u @ q.P @ u + (q.F @ x) @ u
-    assert value(u) - value(np.zeros(2)) == pytest.approx(expanded)

@@ -6,7 +6,7 @@ import pytest
 
 from controller_service.progress import shown_progress
 from controller_service.sets.terminal import SynthesisError
-from runtime.progress import LINES_S, shown
+from runtime.progress import shown
 
 
 def test_a_design_that_takes_too_long_is_refused_with_what_would_do(
@@ -22,17 +22,6 @@ def test_a_design_that_takes_too_long_is_refused_with_what_would_do(
             now += 0.1 * i**2 if i < 12 else 10.2
             advance(i, 30)
     assert "wyner: sets: " in capsys.readouterr().err
-
-
-def test_in_a_pipe_a_line_comes_every_ten_seconds(capsys: pytest.CaptureFixture[str]) -> None:
-    now = 0.0
-    with shown_progress(lambda: now, lambda: now) as advance:
-        for i in range(100):
-            now += 0.5
-            advance(i, 99)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == pytest.approx(50 / LINES_S, abs=1)
-    assert lines[1] == "wyner: sets: 21 of 99 after 11 s, at least 41 s left"
 
 
 def test_on_a_terminal_a_line_changes_and_is_gone_in_the_end(

@@ -2,13 +2,16 @@
 
 import random
 from itertools import accumulate
-from math import nextafter
-from typing import Any
+from math import inf, nextafter
+from typing import Any, ClassVar
 
 import pytest
 
 from protocol.fates import Fates
 from protocol.link.channel import Channel
+from protocol.link.effects import Effects
+from protocol.link.endpoint import Endpoint
+from protocol.messages import Message, Offer
 from protocol.scenario.network import ChannelTable
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
@@ -68,3 +71,43 @@ def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
     way = channel(loss=0.5)
     lost = [way.arrival(k, 0.0) is None for k in range(60)]
     assert lost == [FATES.at(k, 0)[0] < 0.5 for k in range(60)]
+
+
+class Hearing(Endpoint):
+    """An end that keeps what it hears, and when."""
+
+    receives: ClassVar[tuple[type[Message], ...]] = (Offer,)
+    sends: ClassVar[tuple[type[Message], ...]] = ()
+
+    def __init__(self, channel: Channel) -> None:
+        super().__init__("1" * 16, channel)
+        self.heard: list[tuple[float, int]] = []
+
+    def hear(self, message: Message, now: float) -> Effects:
+        assert isinstance(message, Offer)
+        self.heard.append((now, message.k))
+        return ()
+
+    def due_at(self) -> float:
+        return inf
+
+    def act(self, now: float) -> Effects:
+        return ()
+
+    start = stop = act
+
+
+def test_an_offer_is_heard_when_it_arrives_and_what_is_lost_never() -> None:
+    heard = {}
+    ways = {"late": channel(delay_s=2.0), "free": channel(), "no": channel(loss=1.0)}
+    for name, way in ways.items():
+        end = Hearing(way)
+        for k in range(3):
+            said = Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
+            end.receive(Offer, said.wire(), float(k))
+        while end.wake_at() < inf:
+            end.wake(end.wake_at())
+        heard[name] = end.heard
+    assert heard["late"] == [(k + 2.0, k) for k in range(3)]
+    assert heard["free"] == [(float(k), k) for k in range(3)]
+    assert heard["no"] == []

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from protocol.agreement import AgreementResult, Gauge
 from protocol.box_observer import Box, Estimate
-from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OutputRule
 from protocol.link.session import rules_of
 from protocol.messages import Offer
@@ -22,24 +20,6 @@ OFFER = Offer(session=S, k=7, candidates=CANDIDATES, cipher=1)
 
 
 # --- the test of a transition ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("gauges", "inside", "expected", "fails"),
-    [
-        ((0.75, 2.0), 1, -1, False),
-        ((0.75, 2.0), 1, 0, False),
-        ((0.75, 2.0), 1, 1, True),
-        ((1.0, 2.0), 1, 0, False),
-        ((1.5, 2.0), 0, -1, True),
-        ((1.5, 2.0), 0, 0, True),
-    ],
-)
-def test_a_transition_fails_that_nothing_explains_or_another_candidate_than_the_keys(
-    gauges: tuple[float, ...], inside: int, expected: int, fails: bool
-) -> None:
-    verdict = AgreementResult(gauges, 0 if inside else -1, inside)
-    assert RULES.fails(verdict, expected) is fails
 
 
 def test_what_is_expected_is_the_offers_prediction_or_the_models() -> None:
@@ -79,31 +59,6 @@ def test_an_offer_takes_a_digit_for_the_coin_and_one_for_a_sealed_symbol() -> No
     sealed = replace(RULES, scheme=Sealed(2))
     rules = (RULES, replace(RULES, keyed=True), sealed, replace(sealed, keyed=True))
     assert [one.digits for one in rules] == [0, 1, 1, 2]
-
-
-@pytest.mark.parametrize("name", ["sustained", "watched", "encoder", "pendulum", "motor"])
-def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
-    s = scenario_of(name)
-    rules = rules_of.__wrapped__(s)
-    assert (rules.states, rules.inputs, rules.size) == (s.readings, s.m, s.secrecy.candidates)
-    assert rules.fingerprint == s.fingerprint()
-    assert rules.scheme.name == s.secrecy.scheme
-    assert rules.schedule == (None if s.keys is None else s.keys.schedule())
-    assert rules.predicted == (s.defender.model is not None)
-    assert (rules.keyed, rules.halts) == (s.defence.keyed, s.defence.on_alarm == "safe")
-    assert (rules.watch, rules.alarm_rule) == (s.watch, s.alarm_rule)
-    assert (rules.agreement.A, rules.agreement.B) == (s.A, s.B)
-    assert rules.agreement.alpha == s.secrecy.alpha
-    H, h = s.test_set.rows()
-    assert rules.agreement.gauge == Gauge.from_rows(H, h)
-    assert (rules.agreement.reach is None) == (s.secrecy.disturbance is None)
-    assert (rules.agreement.apart is None) == (s.defender.noise is None)
-    assert rules.inputs_gauge == Gauge.from_rows(*s.control.inputs.rows())
-    assert (rules.outputs is None) == (s.observer is None)
-    if rules.outputs is not None:
-        assert rules.outputs.alpha == s.secrecy.alpha
-        assert rules.outputs.fallback == Fallback.of(s)
-        assert rules.outputs.apart == Gauge.from_rows(*s.defender.disturbance.rows())
 
 
 # --- readings of some outputs ---------------------------------------------------------------------

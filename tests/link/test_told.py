@@ -1,8 +1,9 @@
 """All that the services' ends do in some stories: their effects, one by one, as they were.
 
 What stands out of each story, notices, events and the last statuses, is a text beside this file;
-the digest below it is of every effect, field by field, with numbers to six digits. A change of what
-the ends do or tell is a change of these texts: ``WYNER_REWRITE=1`` rewrites them, to be reviewed.
+the digest below it is of every line of the traces, message, notice and save, with numbers to six
+digits. A change of what the ends say, or when, is a change of these texts: ``WYNER_REWRITE=1``
+rewrites them, to be reviewed. All that went into a digest is left as ``whole.txt`` where one fails.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from protocol.link.effects import Effect, Effects, Notice, Publish, Save, Show, Tell
+from protocol.link.effects import Effect, Effects, Notice, Publish, Save, Tell
 from protocol.link.events import lines
 from protocol.link.session import CountedTransition
 from protocol.messages import (
@@ -47,21 +48,15 @@ BULKY = ("tail_", "pictured_", "latency_")
 
 def plain(value: Any) -> Any:
     """A value as it is told here: numbers to six digits, bytes in hexadecimal."""
-    if isinstance(value, Message):
-        return plain(value.model_dump())
     if isinstance(value, float):
         return float(f"{round(value, 9):.6g}") + 0.0
     if isinstance(value, bytes):
         return value.hex()
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items() if k not in PASSING}
-    if hasattr(value, "_asdict"):
-        return plain(value._asdict())
-    if isinstance(value, set | frozenset):
-        return sorted(map(plain, value), key=str)
-    if isinstance(value, list | tuple | range):
+        return {k: plain(v) for k, v in value.items() if k not in PASSING}
+    if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    return value if isinstance(value, int | str | None) else str(type(value).__name__)
+    return value
 
 
 class Changed:
@@ -89,7 +84,7 @@ class Story(RecordedPair):
 
     def __init__(self, folder: Path, *payloads: bytes, **more: Any) -> None:
         self.seen: list[str] = []
-        self.all = hashlib.sha256()
+        self.whole: list[str] = []
         self.statuses: dict[str, dict[str, Any]] = {}
         super().__init__(folder, *payloads, **more)
         self.relay = self.between = Changed()  # type: ignore[assignment]
@@ -109,31 +104,39 @@ class Story(RecordedPair):
             yield effect
 
     def _note(self, side: Name, effect: Effect) -> None:
-        whole = json.dumps([side, type(effect).__name__, plain(effect)], sort_keys=True)
-        self.all.update(whole.encode())
+        whole: list[Any] = [type(effect).__name__]
         match effect:
             case Notice(level=level, subject=subject):
                 self.seen.append(f"{side}: {level} {subject}".rstrip())
-            case Tell(event) if not isinstance(event, CountedTransition):
-                self.seen += [f"{side}: {json.dumps(plain(line))}" for line in lines(event)]
+                whole += [level, subject]
             case Tell(event):
-                self.seen += [f"{side}: {json.dumps(plain(line))}" for line in lines(event)[1:]]
-            case Publish(PlantStatus() | ControllerStatus() as status):
-                default = {name: f.default for name, f in type(status).model_fields.items()}
-                said = status.model_dump().items()
-                named = {k: v for k, v in said if not k.startswith(BULKY) and v != default[k]}
-                self.statuses[side] = named
-            case Publish(PlantHello() | ControllerHello() as hello):
-                self.seen.append(f"{side}: {hello.topic} {getattr(hello, 'verdict', '')}".rstrip())
-            case Save(durable=True) | Show():
-                pass
+                whole += lines(event)
+                said = lines(event)[isinstance(event, CountedTransition) :]
+                self.seen += [f"{side}: {json.dumps(plain(line))}" for line in said]
+            case Publish(message):
+                whole += [message.topic, message.model_dump()]
+                self._said(side, message)
+            case Save(durable=durable, received=received, queued=queued):
+                whole += [durable, received, queued is not None]
+        self.whole.append(f"{side} {json.dumps(plain(whole), sort_keys=True)}\n")
+
+    def _said(self, side: Name, message: Message) -> None:
+        if isinstance(message, PlantHello | ControllerHello):
+            verdict = getattr(message, "verdict", "")
+            self.seen.append(f"{side}: {message.topic} {verdict}".rstrip())
+        if isinstance(message, PlantStatus | ControllerStatus):
+            fields = type(message).model_fields
+            told = {k: v for k, v in message.model_dump().items() if not k.startswith(BULKY)}
+            self.statuses[side] = {k: v for k, v in told.items() if v != fields[k].default}
 
     def text(self) -> str:
-        """What stands out, and the digest of all."""
+        """What stands out, and the digest of all, which lies beside the run."""
         again = [*self.seen]
         for side, status in self.statuses.items():
             again += [f"{side}.{name} = {value}" for name, value in plain(status).items()]
-        return "\n".join([*again, self.all.hexdigest()]) + "\n"
+        whole = "".join(self.whole)
+        self.folder.with_name("whole.txt").write_text(whole)
+        return "\n".join([*again, hashlib.sha256(whole.encode()).hexdigest()]) + "\n"
 
 
 # --- the stories ----------------------------------------------------------------------------------

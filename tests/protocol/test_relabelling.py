@@ -49,38 +49,6 @@ def test_where_no_other_labelling_is_shown_to_be_better_symbols_count_as_named()
     assert not known([], 2).better_than_chance(0.05)
 
 
-@pytest.mark.parametrize(("size", "runs"), [(2, 1), (2, 20), (4, 1), (4, 5), (16, 1), (16, 3)])
-def test_a_blind_one_is_hardly_ever_called_better_than_chance(size: int, runs: int) -> None:
-    """The best of 16! labellings of 60 blind guesses is right three times as often as chance."""
-    draw = random.Random(f"{size} {runs}")
-    tries, called, beyond, relabelled = 100, 0, 0, 0
-    for _ in range(tries):
-        its = known([blind(draw, size, 60) for _ in range(runs)], size)
-        called += its.better_than_chance(0.05)
-        beyond += its.share.low > 1 / size
-        relabelled += bool(its.labels)
-    assert called <= 0.05 * tries
-    assert beyond <= 0.05 * tries
-    assert relabelled <= 0.05 * tries
-
-
-def test_the_limits_hold_at_every_look() -> None:
-    """Of one who is mirrored and right six times in ten, looked at after every step."""
-    draw = random.Random(6)
-    outside = 0
-    for _ in range(30):
-        pairs: dict[tuple[int, int], int] = {}
-        held = True
-        for _ in range(80):
-            key = draw.randrange(2)
-            guess = 1 - key if draw.random() < 0.6 else key
-            pairs[guess, key] = pairs.get((guess, key), 0) + 1
-            share = known([pairs], 2).share
-            held = held and share.low <= 0.6 <= share.high
-        outside += not held
-    assert outside <= 3
-
-
 def test_many_runs_of_many_symbols_have_a_finite_price() -> None:
     """(16!)^100 labellings: 1 / their number is no number to a computer."""
     draw = random.Random(100)

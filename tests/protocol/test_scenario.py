@@ -1,15 +1,13 @@
 """Scenario files: one line for each wrong field, fingerprints of what is shared, those we ship."""
 
-import json
-import pickle
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from protocol.scenario import LAWS, Control, Scenario, ScenarioError, ScenarioTable, parse_scenario
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from runtime.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
@@ -111,41 +109,6 @@ def test_a_wrong_field_is_one_line_with_its_path(path: str, value: object, expec
     assert line.startswith(f"mine.toml: {named}"), line
     assert expected in line
     assert "\n" not in line
-
-
-class Spacing(ScenarioTable):
-    spacing: float = 2.0
-
-
-class ToyControl(Control):
-    """A law's table with a table of its own, and a rule of its own for the costs."""
-
-    alphabet: Spacing = Spacing()
-
-    def count_problems(self, candidates: int) -> Iterator[str]:
-        if len(self.costs) != 1:
-            yield f"control.costs: got {len(self.costs)} costs, expected exactly one"
-
-
-def test_a_law_reads_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = with_value("control.law", "toy")
-    data["control"]["alphabet"] = {"spacing": 3.0}
-    assert "expected paper, sustained, packed, or path/to" in problems(data)[0]
-    with monkeypatch.context() as within:
-        within.setitem(LAWS, "toy", ToyControl)
-        assert problems(data) == ("mine.toml: control.costs: got 2 costs, expected exactly one",)
-        del data["control"]["costs"][0]
-        scenario = parse_scenario(data, "mine.toml")
-        assert isinstance(scenario.control, ToyControl)
-        assert scenario.control.alphabet.spacing == 3.0
-        dumped = scenario.model_dump(mode="json", exclude_none=True)
-        assert dumped["control"]["alphabet"] == {"spacing": 3.0}
-        assert parse_scenario(dumped, "again") == scenario
-        assert hash(scenario) == hash(parse_scenario(data, "mine.toml"))
-        assert pickle.loads(pickle.dumps(scenario)) == scenario
-        data["control"]["alphabet"]["spacing"] = "wide"
-        (line,) = problems(data)
-        assert line.startswith('mine.toml: control.alphabet.spacing: got "wide", ')
 
 
 def test_a_disturbance_that_may_leave_says_so() -> None:
@@ -297,27 +260,6 @@ def test_parts_of_a_message_that_leaves_twice_are_not_claimed() -> None:
     data["keys"]["unheard_bits"] = 128
     with pytest.raises(ScenarioError, match="appearances = 2 beside unheard_bits, expected 1"):
         parse_scenario(data, "paper")
-
-
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("keys.eps_E", 1.0),
-        ("keys.eps_E", -0.1),
-        ("keys.eps_sec", 0.0),
-        ("keys.w", 256),
-        ("keys.appearances", 0),
-        ("keys.appearances", 17),
-        ("keys.appearances", 1.5),
-    ],
-)
-def test_a_wrong_claim_is_one_line(path: str, value: object) -> None:
-    data = paper()
-    data["keys"] = {path.removeprefix("keys."): value}
-    with pytest.raises(ScenarioError) as error:
-        parse_scenario(data, "file")
-    (line,) = error.value.problems
-    assert line.startswith(f"file: {path}: got {json.dumps(value)}, ")
 
 
 @pytest.mark.parametrize(

@@ -42,17 +42,6 @@ def test_wilson_has_the_printed_limits(
     assert interval.high == pytest.approx(high, abs=5e-5)
 
 
-@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_wilson_lies_in_the_unit_interval_around_its_estimate_and_mirrors(
-    case: tuple[int, int],
-) -> None:
-    k, n = case
-    interval = wilson(k, n)
-    assert 0 <= interval.low <= interval.value <= interval.high <= 1
-    other = wilson(n - k, n)
-    assert other.low == pytest.approx(1 - interval.high, abs=1e-12)
-
-
 def test_wilson_covers_at_its_confidence() -> None:
     for p in (0.02, 0.3, 0.9):
         drawn = np.random.default_rng(1).binomial(60, p, size=4000)
@@ -187,22 +176,6 @@ def test_a_confidence_sequence_holds_at_all_looks_together(p: float) -> None:
     assert outside.mean() < 0.05
 
 
-@given(st.integers(0, 400).flatmap(lambda n: st.tuples(st.floats(0, n), st.just(n))))
-def test_a_confidence_sequence_lies_around_its_estimate_in_the_unit_interval(
-    case: tuple[float, int],
-) -> None:
-    k, n = case
-    interval = confidence_sequence(k, n)
-    assert 0 <= interval.low <= interval.high <= 1
-    if n:
-        assert interval.low <= interval.value <= interval.high
-        wider = confidence_sequence(k, n, 0.99)
-        assert wider.low <= interval.low
-        assert interval.high <= wider.high
-    else:
-        assert math.isnan(interval.value)
-
-
 # --- what guessing leaves -------------------------------------------------------------------------
 
 
@@ -229,24 +202,6 @@ def test_what_one_says_that_she_leaves_lies_within_its_limits(bits: float, most:
     assert 0.0 == left.low <= left.value <= left.high <= most
     assert stated_left(0.0, 100.0).high == pytest.approx(100 * MISSTATED, abs=1.0)
     assert stated_left(0.0, 100.0).high > 100 * MISSTATED
-
-
-@pytest.mark.parametrize(
-    ("rhythm", "least"), [(False, 0.94), (True, 0.99)], ids=["independent", "in a rhythm"]
-)
-@pytest.mark.parametrize("share", [0.305, 0.33, 0.395, 0.5])
-def test_few_runs_that_may_be_all_alike_cover_their_share(
-    share: float, rhythm: bool, least: float
-) -> None:
-    """5 runs of 10 trials, independent, or each with the share to the nearest trial."""
-    rng, draws, covered = np.random.default_rng(17), 400, 0
-    for _ in range(draws):
-        alike = np.floor(10 * share + rng.random(5))
-        right = alike if rhythm else rng.binomial(10, share, size=5)
-        interval = share_over_runs([(int(r), 10) for r in right], resamples=500)
-        assert interval.width > 0
-        covered += interval.low <= share <= interval.high
-    assert covered / draws >= least
 
 
 def test_runs_of_unequal_length_with_the_same_share_have_an_interval_with_a_width() -> None:

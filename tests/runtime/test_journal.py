@@ -23,7 +23,6 @@ from protocol.secret.stream import NOTHING_HELD, BlockKeys, Held, Part
 from runtime import journal as journals
 from runtime.journal import (
     BATCH,
-    JOURNAL_VERSION,
     REMEMBERED,
     ControllerJournal,
     JournalError,
@@ -95,27 +94,6 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant.close()
 
 
-@pytest.mark.parametrize("count", [3, BATCH, 3 * BATCH + 2])
-def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, count: int) -> None:
-    """Those that stand in the step's row, and those that have left it; each alone or together."""
-    rows = [row(j) for j in range(1, 1 + count)]
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        for one in rows:
-            journal.save(Save(RECEIVER, rows=KeyRows((one,))))
-    for over in (range(1, 2), range(3, 6), range(7, count - 1)):
-        with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-            assert journal.load().rows == tuple(rows)
-            journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(over,))))
-            rows = [one for one in rows if one.j not in over]
-            assert journal.load().rows == tuple(rows)
-            gone = [bytes([j]) * 32 for j in over]
-        assert not any(nonce in (tmp_path / "p").read_bytes() for nonce in gone)
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        following = changed(RECEIVER, session="fedcba9876543210")
-        journal.save(Save(following, rows=KeyRows((row(0),))))
-        assert journal.load().rows == (row(0),)
-
-
 def test_blocks_that_are_over_at_once_may_meet_in_a_batch(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for j in range(1, 3 * BATCH):
@@ -160,20 +138,6 @@ def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
 def send(journal: ControllerJournal, name: str, payload: bytes, delivered: int = 0) -> None:
     record = changed(SENDER, message=delivered)
     journal.save(Save(record, queued=SendCommand(id=name, payload=payload), durable=True))
-
-
-def test_messages_are_numbered_in_order(tmp_path: Path) -> None:
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        send(journal, "a", b"first")
-        send(journal, "b", bytes(range(256)))
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.queued == 2
-        assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
-        assert journal.identifier(1) == "b"
-        send(journal, "c", b"third")
-        assert journal.waiting()[2] == (2, "c", b"third")
-        assert journal.crc_of("a") == crc32(b"first")
-        assert journal.crc_of("d") is None
 
 
 def test_a_message_that_was_delivered_is_gone_and_its_identifier_is_known(tmp_path: Path) -> None:
@@ -261,22 +225,6 @@ def test_another_boot_of_the_machine_is_told_unless_the_journal_was_closed(
         assert not journal.load().fell_back
 
 
-def test_another_boot_is_told_until_the_session_that_it_cut_has_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process that dies before it has ended the session is followed by one that ends it."""
-    boot = tmp_path / "boot"
-    monkeypatch.setattr(journals, "BOOT_ID", boot)
-    saves = [Save(RECEIVER), Save(RECEIVER), Save(changed(RECEIVER, session="another")), None]
-    for name, save, fell_back in zip("1222", saves, (False, True, True, False), strict=True):
-        boot.write_text(name)
-        journal = PlantJournal(tmp_path / "p", SCENARIO)
-        assert journal.load().fell_back == fell_back
-        if save is not None:
-            journal.save(save)
-        journal.db.close()  # killed: it does not note that it was closed
-
-
 # --- what it refuses ------------------------------------------------------------------------------
 
 
@@ -308,22 +256,52 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
         pass
 
 
-def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Save(RECEIVER))
-    with pytest.raises(JournalError) as error:
-        PlantJournal(tmp_path / "p", "0" * 64)
-    assert "scenario: got" in one_line(error, tmp_path / "p")
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.load() == Loaded(RECEIVER)
+ALTERED = "not as it was written"
 
 
-def test_the_other_sides_journal_is_refused(tmp_path: Path) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO):
-        pass
-    with pytest.raises(JournalError) as error:
-        ControllerJournal(tmp_path / "p", SCENARIO)
-    assert "kind: got 'plant', expected 'controller'" in one_line(error, tmp_path / "p")
+@pytest.mark.parametrize(
+    ("kind", "change", "expected"),
+    [
+        *(
+            (PlantJournal, f"step SET {change}", ALTERED)
+            for change in (
+                "step = x'7b7d'",
+                "id = 7",
+                "step = NULL",
+                "step = zeroblob(40)",
+                "check_ = 1",
+            )
+        ),
+        *(
+            (ControllerJournal, f"outbox SET {change}", ALTERED)
+            for change in ("payload = x'62'", "number = 3", "id = 'n'", "payload = 7")
+        ),
+        (PlantJournal, "meta SET value = '6' WHERE name = 'version'", "version: got '6', expected"),
+        (
+            PlantJournal,
+            "meta SET value = 'x' WHERE name = 'kind'",
+            "kind: got 'x', expected 'plant'",
+        ),
+        (PlantJournal, "meta SET value = 'x' WHERE name = 'scenario'", "scenario: got"),
+    ],
+)
+def test_a_journal_that_was_altered_or_is_another_is_refused(
+    tmp_path: Path, kind: type[PlantJournal | ControllerJournal], change: str, expected: str
+) -> None:
+    path = tmp_path / "j"
+    with kind(path, SCENARIO) as journal:
+        if isinstance(journal, ControllerJournal):
+            send(journal, "m", b"a")
+        else:
+            journal.save(Save(RECEIVER))
+    database = sqlite3.connect(path)
+    database.execute(f"UPDATE {change}")
+    database.commit()
+    database.close()
+    for _ in range(2):
+        with pytest.raises(JournalError) as error:
+            kind(path, SCENARIO)
+        assert expected in one_line(error, path)
 
 
 def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
@@ -332,60 +310,9 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
     with pytest.raises(JournalError) as error:
         ControllerJournal(path, SCENARIO)
     assert "not a journal" in one_line(error, path)
-    (tmp_path / "file").write_text("")
     with pytest.raises(JournalError) as error:
-        ControllerJournal(tmp_path / "file" / "c", SCENARIO)
-    assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
-
-
-def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "j"
-    database = sqlite3.connect(path)
-    database.execute("CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT)")
-    told = {"kind": "controller", "version": "6", "scenario": SCENARIO}
-    database.executemany("INSERT INTO meta VALUES (?, ?)", told.items())
-    database.commit()
-    database.close()
-    for _ in range(2):
-        with pytest.raises(JournalError) as error:
-            ControllerJournal(path, SCENARIO)
-        assert str(error.value) == f"{path}: version: got '6', expected '{JOURNAL_VERSION}'"
-
-
-@pytest.mark.parametrize(
-    "change", ["step = x'7b7d'", "id = 7", "step = NULL", "step = zeroblob(40)", "check_ = 1"]
-)
-def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
-    path = tmp_path / "p"
-    with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Save(RECEIVER))
-    database = sqlite3.connect(path)
-    database.execute(f"UPDATE step SET {change}")
-    database.commit()
-    database.close()
-    with pytest.raises(JournalError) as error:
-        PlantJournal(path, SCENARIO)
-    assert "not as it was written" in one_line(error, path)
-
-
-@pytest.mark.parametrize(
-    "change",
-    ["payload = x'62'", "number = 3", "id = 'n'", "payload = 7"],
-)
-def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> None:
-    path = tmp_path / "c"
-    with ControllerJournal(path, SCENARIO) as journal:
-        send(journal, "m", b"a")
-    database = sqlite3.connect(path)
-    database.execute(f"UPDATE outbox SET {change}")
-    database.commit()
-    database.close()
-    with pytest.raises(JournalError) as error:
-        ControllerJournal(path, SCENARIO)
-    assert "not as it was written" in one_line(error, path)
-
-
-# --- kill -9 --------------------------------------------------------------------------------------
+        ControllerJournal(path / "c", SCENARIO)
+    assert "cannot be opened" in one_line(error, path / "c")
 
 
 # --- disks ----------------------------------------------------------------------------------------

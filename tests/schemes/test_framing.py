@@ -3,7 +3,6 @@
 import math
 import random
 import zlib
-from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -141,17 +140,6 @@ def test_a_restart_goes_on_from_the_symbols_kept(
     assert (after.partial, after.expected_length) == (before.partial, before.expected_length)
     frames += push_all(after, stream[cut:])
     assert frames == [first, second]
-
-
-@given(payloads)
-def test_the_partial_payload_grows_to_the_whole(payload: bytes) -> None:
-    deframer = Deframer(2)
-    seen = [b""]
-    for s in encode_frame(payload, 2)[:-1]:
-        deframer.push(s)
-        seen.append(deframer.partial)
-    assert seen[-1] == payload
-    assert all(b.startswith(a) for a, b in pairwise(seen))
 
 
 def test_the_longest_payload_fits_and_one_more_byte_does_not() -> None:

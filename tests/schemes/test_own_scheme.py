@@ -17,7 +17,6 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import advance_many
-from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS
 from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import violations
@@ -238,17 +237,3 @@ def test_a_pad_that_is_made_of_several_keys_passes_the_check(tmp_path: Path) -> 
     run.until_received(1)
     run.stop()
     assert main(["check", str(tmp_path)]) == 0
-
-
-def test_the_check_follows_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = RecordedPair(tmp_path, b"over the hill", changes=changed("hoarding"))
-    run.until_received(1)
-    run.steps(20, {3: "offer lost", 6: "repeated", 9: "plant dies", 12: "controller dies"})
-    run.stop()
-    code = main(["check", str(tmp_path)])
-    assert code == 0, capsys.readouterr().out
-    capsys.readouterr()
-    (tmp_path / SCENARIO).write_text((SCENARIOS / "sustained.toml").read_text())
-    assert main(["check", str(tmp_path)]) == 1
-    failed = {line.split()[1] for line in capsys.readouterr().out.splitlines() if "FAIL" in line}
-    assert "replay" in failed

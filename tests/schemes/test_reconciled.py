@@ -1,11 +1,8 @@
 """Words of estimated coins: the code corrects, the hash hides, both ends spend the same keys."""
 
 import random
-from math import erfc, sqrt
-from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +13,6 @@ from protocol.schemes.bch import BCH
 from protocol.schemes.reconciled import CARRY, CHECK_BITS, Reconciled, Reconciled31, shortened
 from runtime.scenario_file import scenario_of
 from tests.simulate.beside import through_deaths_and_losses
-from tests.system.test_integration import wyner
 from wyner.api import design
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.link import followed, whole_messages
@@ -125,18 +121,6 @@ def test_candidates_that_are_no_bits_are_refused() -> None:
 # --- the loop -------------------------------------------------------------------------------------
 
 
-def test_errors_come_at_the_rate_that_the_model_says() -> None:
-    system = design("stochastic")
-    runs = simulate_runs(system.scenario, system.law, seed=5, runs=range(20), steps=4000)
-    one, other = np.array(system.law.candidates((0.0, 0.0)))
-    apart = (np.array(system.scenario.B) @ (one - other)) / np.array(
-        system.scenario.defender.deviations
-    )
-    p = erfc(float(np.linalg.norm(apart)) / 2 / sqrt(2)) / 2
-    wrong = float((runs.symbol != runs.coin).mean())
-    assert abs(wrong - p) < 4 * sqrt(p * (1 - p) / runs.symbol.size)
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_engine_is_the_two_ends_past_the_first_words(seed: int) -> None:
     system, steps = design("stochastic"), 700
@@ -189,22 +173,3 @@ def test_eve_with_the_same_model_reads_it_and_the_papers_does_not() -> None:
         assert one.read == one.delivered == 1
     assert 0.4 < blind.right / blind.agreements < 0.6
     assert blind.read == 0
-
-
-@pytest.mark.slow
-@pytest.mark.integration
-def test_live_sessions_end_with_their_words_and_the_check_holds(tmp_path: Path) -> None:
-    """Three services: words differ, the message arrives, every rule of the check holds."""
-    text = (Path("runtime/scenarios/stochastic.toml")).read_text(encoding="utf-8")
-    file, run = tmp_path / "rough.toml", tmp_path / "run"
-    text = text.replace('"reconciled"', '"reconciled-31"').replace("spacing = 0.8", "spacing = 0.6")
-    file.write_text(text, encoding="utf-8")
-    found = wyner(
-        *("up", "--scenario", str(file), "--pace", "fast", "--seed", "3"),
-        *("--message", "Q", "--steps", "1500", "--run-dir", str(run)),
-    )
-    assert found.returncode == 0, found.stderr
-    trace = "".join(p.read_text() for p in (run / "plant").glob("trace*.jsonl"))
-    assert "a key block differs" in trace
-    found = wyner("check", str(run))
-    assert found.returncode == 0, found.stdout

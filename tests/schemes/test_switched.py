@@ -50,18 +50,6 @@ def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
         assert scheme.pad(before) == carry.pad
 
 
-@pytest.mark.parametrize("size", [2, 5])
-def test_an_arrow_that_is_looked_up_is_the_arrow(size: int) -> None:
-    scheme = Switched(size)
-    states = [INITIAL, *(SwitchedState(MESSAGE, key) for key in range(size))]
-    for _ in range(2):
-        for state in states:
-            for verdict in range(NO_SYMBOL, size):
-                assert scheme.follow(state, verdict) == scheme.advance(state, verdict)
-        with pytest.raises(ValueError, match="verdict"):
-            scheme.follow(INITIAL, size)
-
-
 @pytest.mark.parametrize(
     ("state", "verdict", "text"),
     [

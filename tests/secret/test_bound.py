@@ -3,7 +3,6 @@
 from fractions import Fraction
 from math import comb
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +12,6 @@ from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption, quantile
 from protocol.statistics import clopper_pearson
-from tap_service.inference.key_solver import bits_held
 
 
 def exact_tail(n: int, e: Fraction, m: int) -> Fraction:
@@ -134,17 +132,3 @@ def test_half_of_each_missed_nonce_unheard_is_half_the_rows() -> None:
         assert found is not None
         n = found.largest
         assert 16 * (2 * n + claim.rows(n, n, 2 * n)) <= 1 << 16
-
-
-def test_blocks_begun_are_what_eps_adds_up_over_and_not_blocks_kept() -> None:
-    """A jammer voids each block of which she missed enough: all that are left she has broken."""
-    claim = Assumption(0.3, eps_sec=1e-3)
-    begun, copies = 200_000, 2 * 44
-    rows = claim.rows(44, 44, copies)
-    missed = np.random.default_rng(164).binomial(copies, claim.eps_E, begun)
-    kept = missed[missed < rows]  # the others lose so many copies that no row is left
-    assert claim.rows(44, 44, copies - rows) == 0
-    assert all(bits_held(rows, int(m)) > 0 for m in kept)
-    low, high = clopper_pearson(164, begun, 1e-6)
-    assert begun * low < len(kept) < begun * high
-    assert len(kept) <= begun * claim.eps_sec  # and that is all that is promised

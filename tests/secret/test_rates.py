@@ -6,8 +6,6 @@ from itertools import pairwise
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link.distiller import BlockEnded
-from protocol.link.events import Event
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Keys, Scenario
 from wyner.simulate.faults import Faults
@@ -17,44 +15,6 @@ from wyner.simulate.network import Side, Simulation
 def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario:
     keys = Keys(eps_E=eps_E, unheard_bits=unheard_bits)
     return scenario.model_copy(update={"keys": keys})
-
-
-class Making(Simulation):
-    """Notes what becomes of key blocks, at both ends."""
-
-    def __init__(self, *args: object, **more: object) -> None:
-        self.made: list[BlockEnded] = []
-        super().__init__(*args, **more)  # type: ignore[arg-type]
-
-    def traced(self, event: Event) -> None:
-        if isinstance(event, BlockEnded):
-            self.made.append(event)
-        super().traced(event)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
-    [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],
-)
-def test_the_first_key_comes_early_and_the_rate_after_it(
-    eps_E: float, unheard_bits: int, first_s: float, rate: float, blocks: int,
-    sustained: Scenario, sustained_law: CandidateLaw,
-) -> None:  # fmt: skip
-    scenario = keyed(sustained, eps_E, unheard_bits)
-    simulation = Making(scenario, sustained_law, seed=1, step_s=0.1)
-    schedule = scenario.keys.schedule() if scenario.keys is not None else None
-    assert schedule is not None
-    simulation.run(seconds=0.1 * schedule.begins(blocks) + 1.0)
-    plant, controller = (simulation.ends[side].journal.load() for side in ("plant", "controller"))
-    assert len(simulation.made) == 2 * blocks
-    first, *_, last = simulation.made
-    assert {block.what for block in simulation.made} == {"confirmed"}
-    assert 0.1 * (1 + schedule.length(0)) <= first_s
-    assert first.keys >= 1
-    assert 256 * last.keys / (0.1 * schedule.length(last.number)) >= rate
-    assert plant.held.keys
-    assert plant.held == controller.held
 
 
 class Listening(Simulation):

@@ -2,11 +2,11 @@
 
 from itertools import pairwise
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.secret.key_digits import digits
-from protocol.secret.stream import BLOCKS, NOWHERE, BlockKeys, Held, KeyStream, Position
+from protocol.secret.stream import BLOCKS, NOWHERE, KeyStream, Position
 
 SIZES = st.sampled_from([2, 3, 4, 16])
 KEYS = st.lists(st.binary(min_size=32, max_size=32), min_size=1, max_size=3)
@@ -34,32 +34,6 @@ def test_both_ends_find_the_same_digits_in_order_and_each_once(
     assert all(b.at >= a.at + count for a, b in pairwise(named))
     assert len(whole) - len(named) * count <= (count - 1) * len(keys)
     assert controller.left == len(whole)
-
-
-@settings(max_examples=30)
-@given(SIZES, st.lists(KEYS, min_size=1, max_size=7), st.data())
-def test_the_rows_that_change_make_the_same_stream_after_a_restart(
-    size: int, blocks: list[list[bytes]], data: st.DataObject
-) -> None:
-    journal: dict[int, BlockKeys] = {}
-
-    def save(changed: tuple[BlockKeys, ...]) -> None:
-        journal.update({keys.block: keys for keys in changed})
-
-    stream, served = KeyStream(size), NOWHERE
-    for block, keys in enumerate(blocks):
-        save(stream.add(block, keys))
-        for _ in range(data.draw(st.integers(0, 40))):
-            position = stream.name(1, 99)
-            save(stream.drop_before(position))
-            served = max(served, Position(position.block, position.at + 1))
-    kept = tuple(journal[block] for block in sorted(journal) if journal[block].keys)
-    again = KeyStream(size, Held(stream.part, kept), after=served)
-    assert again.left == stream.left
-    while (position := stream.name(1, 99)) != NOWHERE:
-        assert again.name(1, 99) == position
-        assert (again.at(position, 1) or 0) == stream.at(position, 1)
-    assert again.name(1, 99) == NOWHERE
 
 
 def test_what_is_named_is_held_until_it_has_served_whoever_confirms_two_blocks_at_once() -> None:

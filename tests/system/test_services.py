@@ -14,9 +14,7 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
-from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
-from protocol.link.effects import Save
 from protocol.messages import (
     ControllerStatus,
     Message,
@@ -28,19 +26,16 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.errors import DONE, USAGE, Failure
+from runtime.errors import DONE, USAGE
 from runtime.health import read_status
-from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import (
     CONTROLLER_TRACE,
-    PLANT_JOURNAL,
     PLANT_STATUS,
     PLANT_TRACE,
 )
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.records import changed
 from tests.support.statuses import status_of
 from tests.support.traces import events_of, recovered_in
 
@@ -182,26 +177,6 @@ def replies_on(management: MemoryBus) -> list[SendReply]:
     return replies
 
 
-def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
-    system: System,
-) -> None:
-    """The last whole step is in the journal, so that the same is said when it starts again."""
-    plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
-    scenario = system.scenario.model_copy(update={"plant": plant})
-    with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
-        record = changed(first_record(scenario, "0" * 16), k=1000, x=(1e290, 0.0))
-        journal.save(Save(record))
-    config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
-    for _ in range(2):
-        service = PlantService(
-            config, MemoryBus(system.field), MemoryBus(system.management), threading.Event()
-        )
-        with pytest.raises(Failure, match=r"^the state is no longer finite at step 1004$"):
-            service.run()
-    status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
-    assert status.k == 1003
-
-
 def test_field_messages_look_the_same_in_both_states(system: System) -> None:
     offers: dict[int, set[tuple[str, ...]]] = {1: set(), 2: set()}
     seen: dict[int, bytes] = {}
@@ -292,24 +267,6 @@ def listened(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     finally:
         for log in loggers:
             log.removeHandler(caplog.handler)
-
-
-@pytest.mark.slow
-def test_a_second_plant_does_not_disturb_the_first(
-    system: System, caplog: pytest.LogCaptureFixture
-) -> None:
-    with listened(caplog), system.controller(b"one"), system.plant("x20") as first:
-        system.wait(lambda: system.k > 10)
-        with system.plant("x20", name="second") as second:
-            k = system.k
-            system.wait(lambda: system.k > k + 60)
-            assert not second.endpoint.state.session.accepted
-        system.wait(lambda: system.recovered() == [b"one"])
-        assert first.endpoint.state.record.session.sessions == 1
-    told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
-    both = (first.endpoint.instance, second.endpoint.instance)
-    assert told
-    assert all(name in told[0] for name in both)
 
 
 # --- files ----------------------------------------------------------------------------------------

@@ -43,16 +43,3 @@ def test_a_service_loads_little(service: str, sustained: Scenario, tmp_path: Pat
     found = {re.split(r"[.\s]", line.rpartition("|")[2].strip())[0] for line in lines}
     assert f"{service}_service" in found
     assert not found & HEAVY
-
-
-def test_a_tap_of_light_eavesdroppers_needs_no_numerics() -> None:
-    """`nearest-centre` weighs a few numbers a step: 12 MiB and 0.1 s less."""
-    code = (
-        "import sys\n"
-        "import tap_service.service\n"
-        "from tap_service.eavesdroppers import named\n"
-        "loaded = [named(name) for name in ('set-membership', 'nearest-centre', 'oracle')]\n"
-        "print(any(found.heavy for found in loaded), 'numpy' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False False\n"
