@@ -17,7 +17,7 @@ from attacker_service.base import (
     ActuatorAttack,
     AttackError,
     BusAttack,
-    Model,
+    LoopModel,
     Observation,
     SensorAttack,
 )
@@ -27,7 +27,7 @@ from protocol.arrays import Array
 from protocol.link.events import AttackBegan
 from protocol.link.filters import Filter
 from protocol.messages import FieldMessage, Measurement, Offer
-from protocol.scenario import Attack, Scenario
+from protocol.scenario import AttackTable, Scenario
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.logs import logger
@@ -45,7 +45,7 @@ class Attacker(Filter):
     Parameters
     ----------
     scenario : Scenario
-    attack : Attack
+    attack : AttackTable
     seed : int, optional
         Of its draws; the operating system's if not given.
 
@@ -68,7 +68,7 @@ class Attacker(Filter):
 
     acts = listens = True
 
-    def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
+    def __init__(self, scenario: Scenario, attack: AttackTable, seed: int | None) -> None:
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         self.failed = self._untold = ""
@@ -92,7 +92,7 @@ class Attacker(Filter):
             }
         )
 
-    def _make(self, scenario: Scenario, attack: Attack, rng: np.random.Generator) -> None:
+    def _make(self, scenario: Scenario, attack: AttackTable, rng: np.random.Generator) -> None:
         kind, knows = named(attack.kind), frozenset(attack.knows)
         if attack.at not in (None, kind.at):
             raise AttackError(f"attack.at: got {attack.at!r}, expected {kind.at!r}: {kind.name}")
@@ -103,7 +103,7 @@ class Attacker(Filter):
             raise AttackError(
                 f"attack.kind: {kind.name} expects a linear f_c: offers carry no more"
             )
-        model = Model.of(scenario) if "model" in knows else None
+        model = LoopModel.of(scenario) if "model" in knows else None
         self._attack = kind(model, attack.options, rng)
         self.at = kind.at
         self._noise = np.random.default_rng(rng.integers(2**63))

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.arrays import Array, Flags, Integers
 from protocol.scenario import Scenario
-from protocol.scenario.attack import Known, Place
+from protocol.scenario.attack import Knowable, Place
 from protocol.wrong_fields import wrong_fields
 
 UNKNOWN: Final = -1
@@ -26,7 +26,7 @@ class AttackError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class LoopModel:
     """What one who knows the loop knows: f_c, D_c and U.
 
     D_c is the defender's, so that no attack is weaker than it need be; D_e would be too large.
@@ -124,7 +124,7 @@ class Attack(ABC):
 
     Parameters
     ----------
-    model : Model or None
+    model : LoopModel or None
         None where Eve does not know it.
     options : mapping
     rng : numpy.random.Generator
@@ -137,11 +137,11 @@ class Attack(ABC):
 
     name: ClassVar[str]
     at: ClassVar[Place]
-    knows: ClassVar[frozenset[Known]] = frozenset()
+    knows: ClassVar[frozenset[Knowable]] = frozenset()
     Options: ClassVar[type[Options]] = Options
 
     def __init__(
-        self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
+        self, model: LoopModel | None, options: Mapping[str, Any], rng: np.random.Generator
     ) -> None:
         try:
             self.options = self.Options.model_validate(dict(options))
@@ -153,7 +153,7 @@ class Attack(ABC):
         self.rng = rng
 
     @property
-    def model(self) -> Model:
+    def model(self) -> LoopModel:
         """The model, for an attack that needs it."""
         assert self._model is not None
         return self._model

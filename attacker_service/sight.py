@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from attacker_service.base import Model
+from attacker_service.base import LoopModel
 from protocol.arrays import Array, Integers
 
 ROUNDS: Final = 200
@@ -19,12 +19,12 @@ class Sight:
 
     Parameters
     ----------
-    model : Model
+    model : LoopModel
     noise : float
         Standard deviation of Eve's noise on each state.
     """
 
-    def __init__(self, model: Model, noise: float) -> None:
+    def __init__(self, model: LoopModel, noise: float) -> None:
         self._model = model
         self._exact = noise == 0
         n = len(model.A)

@@ -23,7 +23,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import AppliedRecord, LinkRecord, PlantRecord, PlantSessionRecord
 from protocol.link.session import rules_of
 from protocol.link.step import Read
-from protocol.scenario import Attack, Scenario
+from protocol.scenario import AttackTable, Scenario
 from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
@@ -64,7 +64,7 @@ def open_core(
     seed: int | None = None,
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
-    attack: Attack | None = None,
+    attack: AttackTable | None = None,
     nonces: NonceSource = fresh_nonce,
     channel: Channel | None = None,
 ) -> PlantCore:
@@ -89,7 +89,7 @@ def open_core(
         journal has, or a new one has from now on; so is then, where outputs are read, ``noise``.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
-    attack : Attack, optional
+    attack : AttackTable, optional
         On this plant, or on its bus.
 
     Raises
@@ -164,7 +164,7 @@ def open_core(
         raise
 
 
-def _attacker(scenario: Scenario, attack: Attack, seed: int | None) -> "Attacker":
+def _attacker(scenario: Scenario, attack: AttackTable, seed: int | None) -> "Attacker":
     """The attack; its code is loaded where there is one."""
     from attacker_service.attacker import Attacker
 

@@ -15,7 +15,7 @@ from plant_service.status import PlantTelemetry
 from protocol.link.channel import channel_of
 from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S, Pacing
-from protocol.scenario import Attack
+from protocol.scenario import AttackTable
 from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
 from runtime.chance import noise, symbols
@@ -45,7 +45,7 @@ class PlantConfig(EndConfig):
     """
 
     steps: int | None = None
-    attack: Attack | None = None
+    attack: AttackTable | None = None
 
 
 def open_plant(

@@ -36,7 +36,7 @@ AS_NAMED: Final = 0.9
 """Share of the level that is for the symbols as Eve names them."""
 
 
-class Known(NamedTuple):
+class KnownSymbols(NamedTuple):
     """What Eve knows of symbols, over one run or more.
 
     Parameters
@@ -94,7 +94,7 @@ def right_under(pairs: Pairs, labels: Labels) -> int:
     return sum(pairs.get((guess, key), 0) for guess, key in enumerate(labels))
 
 
-def known(runs: Sequence[Pairs], size: int, confidence: float = CONFIDENCE) -> Known:
+def known(runs: Sequence[Pairs], size: int, confidence: float = CONFIDENCE) -> KnownSymbols:
     """What Eve knows of the symbols of some runs, each with one labelling for all its steps.
 
     Parameters
@@ -118,12 +118,12 @@ def known(runs: Sequence[Pairs], size: int, confidence: float = CONFIDENCE) -> K
     level = -log(1 - confidence)
     as_she_names = sequence_limits(named, of, level + mine)
     if best == named:
-        return Known(of, named, named, as_she_names, (), evidence)
+        return KnownSymbols(of, named, named, as_she_names, (), evidence)
     relabelled = sequence_limits(best, of, level + others)
     low, high = (max(ends) for ends in zip(as_she_names[1:], relabelled[1:], strict=True))
     if relabelled.low <= max(as_she_names.low, 1 / size):  # no other is shown to be better
-        return Known(of, named, named, Interval(as_she_names.value, low, high), (), evidence)
-    return Known(of, named, best, Interval(relabelled.value, low, high), labels, evidence)
+        return KnownSymbols(of, named, named, Interval(as_she_names.value, low, high), (), evidence)
+    return KnownSymbols(of, named, best, Interval(relabelled.value, low, high), labels, evidence)
 
 
 def _above(right: int, of: int, size: int) -> float:

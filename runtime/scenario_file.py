@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from protocol.scenario.attack import Attack, attack_of
+from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
 from runtime.errors import UsageError
@@ -64,7 +64,9 @@ def scenario_in(text: str, source: str) -> Scenario:
         raise UsageError(error.problems) from None
 
 
-def attack_option(text: str | None, stated: Attack | None, steps: int | None) -> Attack | None:
+def attack_option(
+    text: str | None, stated: AttackTable | None, steps: int | None
+) -> AttackTable | None:
     """The attack that ``--attack`` names, else the scenario's own.
 
     Raises

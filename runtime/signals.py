@@ -4,18 +4,13 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from math import inf
 from typing import Final
 
-from runtime.errors import INTERRUPTED
-
 POLL_S: Final = 0.2
 """Longest sleep in seconds of a program that only a signal can end."""
-
-AT_ONCE_S: Final = 1.0
-"""Seconds that a program has, after a second signal, to give back what it holds."""
 
 STOP_WITH_STDIN: Final = "WYNER_STOP_WITH_STDIN"
 """Environment variable: a service started with it stops when its standard input ends, and so never
@@ -57,8 +52,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
     """Turn SIGTERM, SIGINT and SIGHUP into an event that the program's loop looks at.
 
     A second signal of these is a KeyboardInterrupt where the program stands, for a loop that no
-    longer looks; and the process ends within :data:`AT_ONCE_S` of it, whatever its threads wait for
-    by then.
+    longer looks.
     """
     stopping = Stop()
 
@@ -74,40 +68,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
         ending.append(signal.SIGHUP)
     before = {number: signal.signal(number, stop) for number in ending}
     try:
-        with _ended_by_a_second(ending):
-            yield stopping
+        yield stopping
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def _ended_by_a_second(ending: Sequence[int]) -> Iterator[None]:
-    """End the process soon after a second signal, also where its main thread never comes back.
-
-    Python's own handlers wait for that one; the numbers that it writes to a pipe do not.
-    """
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-
-    over = threading.Event()
-
-    def count() -> None:
-        came = 0
-        while numbers := os.read(reading, 16):
-            came += sum(number in ending for number in numbers)
-            if came > 1 and not over.wait(AT_ONCE_S):
-                os._exit(INTERRUPTED)
-        os.close(reading)
-
-    threading.Thread(target=count, name="second signal", daemon=True).start()
-    try:
-        yield
-    finally:
-        over.set()
-        signal.set_wakeup_fd(before)
-        os.close(writing)
 
 
 def _stop_at_end_of_stdin(stopping: threading.Event) -> None:

@@ -31,10 +31,6 @@ SLICE_S: Final = 0.05
 REST_RATIO: Final = 3.0
 """Rest over work while the loop runs: a quarter of a core at most."""
 
-FAR_BEHIND: Final = 128 * 2**20
-"""Bytes of capture not read yet beyond which they are skipped and counted: a third of a million
-steps, about a minute of lock-step at full speed."""
-
 BELIEF_PERIOD_S: Final = 0.5
 """Between two looks at what the eavesdroppers believe."""
 
@@ -120,15 +116,12 @@ def _read(
         start = time.monotonic()
         empty = _work(reader, listeners, start + SLICE_S)
         guesses.flush()
-        if not finishing and reader.behind_bytes > FAR_BEHIND:
-            reader.skip(FAR_BEHIND // 2)
         last = empty and finishing
         if last:
             listeners.finish()
         now = time.monotonic()
         if now >= next_belief or last:
-            behind, skipped = reader.behind_steps, reader.skipped
-            for status, record in reports_of(listeners, behind=behind, dropped=skipped, last=last):
+            for status, record in reports_of(listeners, behind=reader.behind_steps, last=last):
                 told = {"status": status.wire().decode(), "record": record}
                 line.send_bytes(to_json(told, inf_nan_mode="strings"))
             spent = time.monotonic() - now

@@ -162,8 +162,8 @@ def run_with_knowledge(
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.fleet import TapFleet
-    from tap_service.service import TapService, run_tap
+    from tap_service.fleet import TapFleet, run_tap
+    from tap_service.service import TapService
 
     own_view = None if options.view is None else read_json("--view", options.view, View)
     check_addresses(options, "tap")

@@ -4,22 +4,26 @@ Each loop has a tap of its own, with all that it heard and guessed below the loo
 eavesdroppers, which need a process each, read the recordings afterwards (``wyner score``).
 """
 
+import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
 from protocol.topics import every_loop
-from runtime.errors import Failure, UsageError
+from runtime.collection import freeze_startup
+from runtime.errors import DONE, Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.logs import logger
-from tap_service.config import TapConfig
+from runtime.signals import stop_on_signals
+from tap_service.config import SILENT_S, TapConfig
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import TapService
 
 if TYPE_CHECKING:
+    from runtime.addresses import Addresses
     from runtime.bus import Bus
 
 TELL_S: Final = 2.0
@@ -28,6 +32,52 @@ TELL_S: Final = 2.0
 ROUND_S: Final = 0.2
 """Rest between two rounds through all taps: what gathered of a loop meanwhile is one write. In each
 a share of the loops is told of, all in :data:`TELL_S`."""
+
+
+NICENESS: Final = 10
+"""Guessing gives way to the loop where they share a processor."""
+
+Note = Callable[["Bus"], AbstractContextManager["Bus"]]
+"""What else is done with the bus that statuses are published on, such as metrics."""
+
+
+def run_tap(
+    make: Callable[[], "TapService | TapFleet"],
+    field: "Addresses",
+    adversary: "Addresses",
+    note: Note,
+) -> int:
+    """Run until SIGTERM or SIGINT; returns the exit code.
+
+    Raises
+    ------
+    KnowledgeError
+        When an eavesdropper cannot be made.
+    runtime.bus.TransportError
+        When a bus cannot be opened; nothing has started in either case.
+    """
+    from runtime.link_watchdog import watched
+    from runtime.zenoh_bus import open_bus
+
+    with ExitStack() as stack:
+        stopping = stack.enter_context(stop_on_signals())
+        # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
+        # tap goes on, and what is said then must be heard.
+        service = make()
+        stack.callback(service.close)
+        field_bus = stack.enter_context(open_bus(field))
+        told_on = stack.enter_context(open_bus(adversary))
+        service.attach(field_bus, stack.enter_context(note(told_on)))
+        buses = field_bus, told_on
+        stack.enter_context(
+            watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
+        )
+        # On Linux this is the calling thread's alone: the transport's threads, already
+        # running, still take messages off the wire at once.
+        os.nice(NICENESS)
+        freeze_startup()
+        service.run(stopping)
+    return DONE
 
 
 class TapFleet:

@@ -6,12 +6,10 @@ a step; all others read the capture in processes beside it (:mod:`tap_service.be
 """
 
 import logging
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,25 +18,20 @@ from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
-from runtime.collection import freeze_startup
-from runtime.errors import DONE
 from runtime.files import StatusFile
 from runtime.inbox import Inbox
 from runtime.logs import RateLimitedLog, logger
 from runtime.rates import Throttle
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
-from runtime.signals import stop_on_signals
 from tap_service.beside import Beside, assignments_of
 from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
-from tap_service.config import SILENT_S, TapConfig, each_once, eighth, runs_beside
+from tap_service.config import TapConfig, each_once, eighth, runs_beside
 from tap_service.listening import Listeners
 from tap_service.status import beliefs_json, facts_of, reports_of
 
 if TYPE_CHECKING:
-    from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from tap_service.fleet import TapFleet
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -53,9 +46,6 @@ GATHER_S: Final = 0.05
 """Rest after the queue was empty, in which messages gather: waking up for each one would take
 processor time from the loop that is listened to."""
 
-NICENESS: Final = 10
-"""Guessing gives way to the loop where they share a processor."""
-
 QUEUE_BYTES: Final = 64 * 2**20
 """Bytes that may wait for the mirror in one process; what comes beyond them is dropped and
 counted."""
@@ -66,51 +56,9 @@ TOO_MANY_UNUSED: Final = 0.01
 BUSY_LENGTH: Final = 20_000
 """Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
 
-Note = Callable[["Bus"], AbstractContextManager["Bus"]]
-"""What else is done with the bus that statuses are published on, such as metrics."""
-
-
-def run_tap(
-    make: Callable[[], "TapService | TapFleet"],
-    field: "Addresses",
-    adversary: "Addresses",
-    note: Note,
-) -> int:
-    """Run until SIGTERM or SIGINT; returns the exit code.
-
-    Raises
-    ------
-    KnowledgeError
-        When an eavesdropper cannot be made.
-    runtime.bus.TransportError
-        When a bus cannot be opened; nothing has started in either case.
-    """
-    from runtime.link_watchdog import watched
-    from runtime.zenoh_bus import open_bus
-
-    with ExitStack() as stack:
-        stopping = stack.enter_context(stop_on_signals())
-        # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
-        # tap goes on, and what is said then must be heard.
-        service = make()
-        stack.callback(service.close)
-        field_bus = stack.enter_context(open_bus(field))
-        told_on = stack.enter_context(open_bus(adversary))
-        service.attach(field_bus, stack.enter_context(note(told_on)))
-        buses = field_bus, told_on
-        stack.enter_context(
-            watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
-        )
-        # On Linux this is the calling thread's alone: the transport's threads, already
-        # running, still take messages off the wire at once.
-        os.nice(NICENESS)
-        freeze_startup()
-        service.run(stopping)
-    return DONE
-
 
 class TapService:
-    """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
+    """The tap between its buses and its files."""
 
     def __init__(self, config: TapConfig) -> None:
         self.log: logging.Logger = logger("tap")
@@ -286,7 +234,7 @@ class TapService:
                     "seq": self._seq,
                     "t_ns": time.time_ns(),
                     "mirrored": self.capture.written,
-                    "dropped": its.dropped + self._dropped(),
+                    "dropped": self._dropped(),
                     "malformed": self._complaints.total,
                     "restarts": its.restarts + self._restarts,
                 }

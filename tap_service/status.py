@@ -24,15 +24,13 @@ NO_COUNTS: Final = dict.fromkeys(("seq", "t_ns", "mirrored", "dropped", "behind"
 """The counts that a status must have."""
 
 
-def reports_of(
-    listeners: Listeners, *, behind: int, dropped: int = 0, last: bool
-) -> Iterator[Report]:
+def reports_of(listeners: Listeners, *, behind: int, last: bool) -> Iterator[Report]:
     """What each eavesdropper believes, as it is published and as it is kept.
 
     They are asked for the message symbols at the ``last`` alone; before they are None, and so they
-    are of one who failed. ``behind`` steps they have not heard yet, ``dropped`` messages never.
+    are of one who failed. ``behind`` steps they have not heard yet.
     """
-    counts = {"behind": behind, "dropped": dropped, **listeners.transcript.unused._asdict()}
+    counts = {"behind": behind, **listeners.transcript.unused._asdict()}
     for listener in listeners.listeners:
         yield report_of(listeners.session, listener, NO_COUNTS | counts, last=last)
 

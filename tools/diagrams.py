@@ -7,7 +7,7 @@ says when they are stale.
 import ast
 import inspect
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple, get_args
 
@@ -21,7 +21,7 @@ from protocol.topics import key_of
 from studies.registry import Lines, pages, table
 from tools import worked_step  # noqa: F401  (its table)
 from wyner.runs.check import RULES
-from wyner.runs.lines import KINDS, EventLine, MissedLine, TracedTransition
+from wyner.runs.lines import EVENTS, EventLine, MissedLine, TracedTransition
 from wyner.runs.seal import READ, SEAL_ALONE
 from wyner.sweeps.code import ROOT
 
@@ -120,9 +120,10 @@ def event_table() -> Lines:
 
 def _events() -> Iterator[tuple[str, str, str, str]]:
     for kind in (TracedTransition, MissedLine, *get_args(EventLine)):
-        events = get_args(kind.__annotations__["event"])
-        sides = [side for side, kinds in KINDS.items() if events[0] in kinds]
-        names = [field.name for field in fields(kind) if field.name != "event"]
+        sides = [side for side, kinds in EVENTS.items() if kind in kinds.values()]
+        events = [event for event, made in EVENTS[sides[0]].items() if made is kind]
+        names = [field.name for field in fields(kind)] if is_dataclass(kind) else kind._fields
+        names = [name for name in names if name != "event"]
         yield (
             ", ".join(f"`{event}`" for event in events),
             "both" if len(sides) == 2 else sides[0],

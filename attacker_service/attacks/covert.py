@@ -5,10 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from attacker_service.base import AttackError, BusAttack, Model
+from attacker_service.base import AttackError, BusAttack, LoopModel
 from attacker_service.base import Options as CommonOptions
 from protocol.arrays import Array, Flags
-from protocol.scenario.attack import Known
+from protocol.scenario.attack import Knowable
 
 
 class Covert(BusAttack):
@@ -26,11 +26,11 @@ class Covert(BusAttack):
         input: float | tuple[float, ...] = 0.3
 
     name: ClassVar[str] = "covert"
-    knows: ClassVar[frozenset[Known]] = frozenset({"model", "bus"})
+    knows: ClassVar[frozenset[Knowable]] = frozenset({"model", "bus"})
     options: Options
 
     def __init__(
-        self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
+        self, model: LoopModel | None, options: Mapping[str, Any], rng: np.random.Generator
     ) -> None:
         super().__init__(model, options, rng)
         m = self.model.B.shape[1]

@@ -6,11 +6,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import UNKNOWN, AttackError, Model, Observation, SensorAttack
+from attacker_service.base import UNKNOWN, AttackError, LoopModel, Observation, SensorAttack
 from attacker_service.base import Options as CommonOptions
 from attacker_service.sight import Sight, chosen
 from protocol.arrays import Array, Integers
-from protocol.scenario.attack import Known
+from protocol.scenario.attack import Knowable
 
 
 class Ghost(SensorAttack):
@@ -32,11 +32,11 @@ class Ghost(SensorAttack):
         direction: tuple[float, ...] = ()
 
     name: ClassVar[str] = "ghost"
-    knows: ClassVar[frozenset[Known]] = frozenset({"model", "bus"})
+    knows: ClassVar[frozenset[Knowable]] = frozenset({"model", "bus"})
     options: Options
 
     def __init__(
-        self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
+        self, model: LoopModel | None, options: Mapping[str, Any], rng: np.random.Generator
     ) -> None:
         super().__init__(model, options, rng)
         sees, n = self.options.sees, len(self.model.A)

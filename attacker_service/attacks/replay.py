@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import Model, Observation, SensorAttack
+from attacker_service.base import LoopModel, Observation, SensorAttack
 from attacker_service.base import Options as CommonOptions
 from protocol.arrays import Array
 
@@ -24,7 +24,7 @@ class Replay(SensorAttack):
     options: Options
 
     def __init__(
-        self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
+        self, model: LoopModel | None, options: Mapping[str, Any], rng: np.random.Generator
     ) -> None:
         super().__init__(model, options, rng)
         self._recorded: deque[Array] = deque(maxlen=self.options.length)

@@ -6,7 +6,7 @@ is the defender's knowledge; an eavesdropper is handed a :class:`protocol.knowle
 from it, and never this.
 """
 
-from protocol.scenario.attack import Attack, attack_of
+from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.control import Control, Cost, Performance, Regulator
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Calibration, Defender
@@ -33,7 +33,7 @@ __all__ = [
     "LAWS",
     "PLANTS",
     "RULES_VERSION",
-    "Attack",
+    "AttackTable",
     "Calibration",
     "ChannelTable",
     "Control",

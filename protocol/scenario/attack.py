@@ -9,10 +9,10 @@ from protocol.scenario.parts import ScenarioTable
 from protocol.wrong_fields import wrong_fields
 
 Place = Literal["sensor", "bus", "actuator"]
-Known = Literal["model", "bus", "coins"]
+Knowable = Literal["model", "bus", "coins"]
 
 
-class Attack(ScenarioTable, extra="allow"):
+class AttackTable(ScenarioTable, extra="allow"):
     """An attack on this loop; further fields are the options of its class."""
 
     kind: str
@@ -21,7 +21,7 @@ class Attack(ScenarioTable, extra="allow"):
     """Where it stands; where its class does, if not given."""
     onset: Annotated[int, Field(ge=1)]
     """The first step whose reading, input or message is not the true one."""
-    knows: tuple[Known, ...] = ("model", "bus", "coins")
+    knows: tuple[Knowable, ...] = ("model", "bus", "coins")
     """What the attacker is told: A, B, D_c, U; public offers; the coins of keys that Eve has."""
 
     @property
@@ -30,14 +30,14 @@ class Attack(ScenarioTable, extra="allow"):
         return dict(self.model_extra or {})
 
 
-def attack_of(text: str, stated: Attack | None = None) -> Attack:
+def attack_of(text: str, stated: AttackTable | None = None) -> AttackTable:
     """The attack that ``KIND@ONSET[,NAME=VALUE...]`` names.
 
     Parameters
     ----------
     text : str
         A value is JSON, or else a word: ``ghost@200,knows=["model","bus"]``.
-    stated : Attack, optional
+    stated : AttackTable, optional
         The scenario's own: where it is of that kind, what is not said here stands as it says.
 
     Raises
@@ -62,7 +62,7 @@ def attack_of(text: str, stated: Attack | None = None) -> Attack:
         except ValueError:
             fields[name] = value
     try:
-        return Attack.model_validate(fields)
+        return AttackTable.model_validate(fields)
     except ValidationError as error:
         raise ValueError(wrong_fields(error)[0]) from None
 

@@ -44,13 +44,7 @@ class Keys(ScenarioTable):
 
     def assumption(self) -> Assumption:
         """The claim, as the bound reads it."""
-        return Assumption(
-            eps_E=self.eps_E,
-            eps_sec=self.eps_sec,
-            directions=self.directions,
-            unheard_bits=self.unheard_bits,
-            appearances=self.appearances,
-        )
+        return Assumption(**self.model_dump())
 
     def schedule(self) -> Schedule | None:
         """The lengths of blocks; None where the claim makes no key."""

@@ -15,7 +15,7 @@ from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.watch import Watch
 from protocol.knowledge import Knowledge
 from protocol.plugins import source_of
-from protocol.scenario.attack import Attack
+from protocol.scenario.attack import AttackTable
 from protocol.scenario.control import Control
 from protocol.scenario.defence import DefenceTable, needs_keys
 from protocol.scenario.defender import Defender
@@ -66,7 +66,7 @@ class Scenario(Brief, ScenarioTable):
     """What the operator claims that Eve misses; distilled keys rest on it."""
     defence: DefenceTable = DefenceTable()
     """How the controller tests what it is told."""
-    attack: Attack | None = None
+    attack: AttackTable | None = None
     """Who lies about the plant, if anybody does."""
 
     def brief(self) -> dict[str, object]:

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from attacker_service.attacks import named
-from attacker_service.base import UNKNOWN, Attack, Model
+from attacker_service.base import UNKNOWN, Attack, LoopModel
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
@@ -285,7 +285,7 @@ def maker(attack: str, scenario: Scenario) -> Callable[[np.random.Generator], At
     if attack == "none":
         return None
     kind, options = ATTACKERS[attack]
-    found, model = named(kind), Model.of(scenario)
+    found, model = named(kind), LoopModel.of(scenario)
     return lambda draw: found(model, options, draw)
 
 

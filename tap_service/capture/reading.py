@@ -23,8 +23,6 @@ class CaptureError(Exception):
     """A capture that cannot be read; one line that names the file and what was expected."""
 
 
-END_BEGINS: Final = b'{"event":"end",'
-
 MESSAGE_BYTES: Final = 250
 """What a message's line takes, until one was given out."""
 
@@ -36,8 +34,8 @@ SETTINGS: Final = ("loop", "knowledge", "view")
 class CaptureReader:
     """Reads a capture in order, part by part, also while it is being written.
 
-    Every line after a header is given out or counted once: as ``torn``, ``malformed`` or
-    ``skipped``. A part without a header is left out, its lines are ``torn``.
+    Every line after a header is given out or counted once, as ``torn`` or ``malformed``. A
+    part without a header is left out, its lines are ``torn``.
 
     Parameters
     ----------
@@ -58,7 +56,6 @@ class CaptureReader:
     torn: int = 0
     malformed: int = 0
     parts_missing: int = 0
-    skipped: int = 0
     ended: bool = False
     incarnations: int = 0
     """Recordings begun so far: where a tap was started again there are more than one."""
@@ -119,15 +116,6 @@ class CaptureReader:
             record = self._decode(line)
             if record is not None:
                 yield record
-
-    def skip(self, keep: int) -> None:
-        """Leave lines unread, and count them, until at most ``keep`` bytes are left.
-
-        Whole chunks are skipped, so that up to `CHUNK` less may be left.
-        """
-        while self.behind_bytes > keep and (self._lines or self._read_on()):
-            self.skipped += sum(not line.startswith(END_BEGINS) for line in self._lines)
-            self._lines.clear()
 
     def finish(self) -> None:
         """Count a last line that was never finished; after the last record of an ended capture."""

@@ -13,7 +13,7 @@ from attacker_service.attacker import Attacker
 from attacker_service.relay import Relay
 from plant_service.plant import Disturbances, FilteredPlant, LinearModel
 from protocol.messages import Measurement, Message, Offer
-from protocol.scenario import Attack, Scenario
+from protocol.scenario import AttackTable, Scenario
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
@@ -32,7 +32,7 @@ def scenario() -> Scenario:
     return scenario_of("packed")
 
 
-def attacked(scenario: Scenario, attack: Attack) -> FilteredPlant:
+def attacked(scenario: Scenario, attack: AttackTable) -> FilteredPlant:
     plant = LinearModel(scenario, Disturbances(scenario, noise(1, 2)))
     return FilteredPlant(plant, [Attacker(scenario, attack, 1)], scenario.initial_state)
 
@@ -47,7 +47,7 @@ def steps(plant: FilteredPlant, count: int) -> list[tuple[float, ...]]:
 
 
 def test_before_the_onset_the_truth_passes_and_then_the_attack(scenario: Scenario) -> None:
-    plant = attacked(scenario, Attack(kind=f"{OWN}:Frozen", onset=3))
+    plant = attacked(scenario, AttackTable(kind=f"{OWN}:Frozen", onset=3))
     truths = []
     for k in range(5):
         (said,) = steps(plant, 1) if k == 0 else [_one(plant, k)]
@@ -77,7 +77,7 @@ def test_one_that_fails_is_a_line_and_the_truth_passes(
     scenario: Scenario,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    plant = attacked(scenario, Attack(kind=f"{OWN}:{name}", onset=2))
+    plant = attacked(scenario, AttackTable(kind=f"{OWN}:{name}", onset=2))
     logging.getLogger("attacker").propagate = True
     with caplog.at_level(logging.ERROR):
         failed = []
@@ -93,7 +93,9 @@ def test_one_that_fails_is_a_line_and_the_truth_passes(
 
 
 def test_a_stuck_actuator_is_labelled_and_its_reading_is_true(scenario: Scenario) -> None:
-    plant = attacked(scenario, Attack.model_validate({"kind": "stuck", "onset": 1, "value": [2.0]}))
+    plant = attacked(
+        scenario, AttackTable.model_validate({"kind": "stuck", "onset": 1, "value": [2.0]})
+    )
     plant.begin(0, (), (1.0,))
     plant.end(0)
     assert plant.truth is not None
@@ -119,7 +121,7 @@ def test_what_cannot_be_made_is_one_line(
     table: dict[str, Any], line: str, scenario: Scenario
 ) -> None:
     with pytest.raises(UsageError) as caught:
-        Attacker(scenario, Attack.model_validate({"onset": 5, **table}), 1)
+        Attacker(scenario, AttackTable.model_validate({"onset": 5, **table}), 1)
     assert len(caught.value.lines) == 1
     assert caught.value.lines[0].startswith(line), caught.value.lines
 
@@ -168,7 +170,7 @@ class Passed:
 
 def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scenario) -> None:
     plants, controllers = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
-    attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+    attack = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)
     passed = Passed(Relay(attacker, plants, controllers, DEFAULT_LOOP), plants, controllers)
     offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
@@ -194,7 +196,7 @@ JUNK = (
 
 
 def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
-    attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+    attack = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)
     junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
     for kind in (Measurement, Offer):

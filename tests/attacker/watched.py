@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from attacker_service.base import UNKNOWN, BusAttack, Model, Observation, SensorAttack
+from attacker_service.base import UNKNOWN, BusAttack, LoopModel, Observation, SensorAttack
 from protocol.arrays import Array, Counts, Flags, Integers
 
 A = np.array([[1.0, 0.0975], [0.0, 0.9512]])
@@ -20,9 +20,9 @@ def box(widths: Array) -> tuple[Array, Array]:
     return np.repeat(np.eye(n), 2, 0) * np.tile([1.0, -1.0], n)[:, None], np.repeat(widths, 2)
 
 
-def model(widths: Array = WIDTHS) -> Model:
+def model(widths: Array = WIDTHS) -> LoopModel:
     """Who knows all of it."""
-    return Model(A, B, *box(widths), *box(np.array([6.0])))
+    return LoopModel(A, B, *box(widths), *box(np.array([6.0])))
 
 
 @dataclass

@@ -281,9 +281,8 @@ def strangers(folder: Path) -> Story:
     return loop
 
 
-def never_met(folder: Path) -> Story:
-    """Ends that have met nobody yet hear one of another model."""
-    loop = Story(folder, b"once", name="packed")
+def hear_of_another_model(loop: Story) -> None:
+    """Before anything else each end hears an end of another model."""
     for side in SIDES:
         loop.mail[side].clear()
     asks = PlantHello(
@@ -300,6 +299,23 @@ def never_met(folder: Path) -> Story:
         instance="d" * 16, incarnation=1, fingerprint="e" * 64, verdict="greeting", session=None
     )
     loop.hear("plant", mail(answers))
+
+
+def met_before(folder: Path) -> Story:
+    """Another model is passed over by ends that have met one of their own, in a life before."""
+    loop = Story(folder, b"once", name="packed")
+    loop.steps(5)
+    for side in SIDES:
+        loop.die(side)
+    hear_of_another_model(loop)
+    loop.steps(5)
+    return loop
+
+
+def never_met(folder: Path) -> Story:
+    """It is the end of those that have met nobody yet."""
+    loop = Story(folder, b"once", name="packed")
+    hear_of_another_model(loop)
     for side in SIDES:
         end = loop.ends[side].endpoint
         loop.seen.append(f"{side} ends with {end.code}, due {end.wake_at():g}")
@@ -396,6 +412,7 @@ STORIES: list[Callable[[Path], Story]] = [
     an_alarm_halts,
     strangers,
     never_met,
+    met_before,
     keys_are_made,
     keys_differ,
     a_device_acts,

@@ -14,11 +14,6 @@ from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long
 
-SHORT, LONG = 4_000, 10_000
-GROWN = 6 * 2**20
-"""Bytes that 6,000 steps more may take: the lines of a trace, as Python has them, would be 15 MB.
-What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
-
 FEW, MANY = 8_000, 120_000
 MOST = 400 * 2**20
 
@@ -51,13 +46,7 @@ READERS = {
 }
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("runs")
-    return guessed(folder / "short", SHORT), guessed(folder / "long", LONG)
-
-
-def guessed(folder: Path, steps: int, scenario: str = "sustained") -> Path:
+def guessed(folder: Path, steps: int, scenario: str) -> Path:
     """A run with an eavesdropper who guesses each step."""
     make_run(folder, steps, scenario)
     trace = Run.load(folder).columns("plant")
@@ -97,9 +86,3 @@ def test_a_million_steps_with_keys_take_400_mb_at_most(keyed: tuple[Path, Path],
     steps that is 30 MB of a million."""
     least, most = (min(peak(name, folder) for _ in range(2)) for folder in keyed)
     assert least + (most - least) / (MANY - FEW) * 1_000_000 <= MOST
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_who_looks_at_a_run_does_not_hold_its_steps(runs: tuple[Path, Path], name: str) -> None:
-    short, long = runs
-    assert peak(name, long) - peak(name, short) <= GROWN

@@ -3,14 +3,12 @@
 import json
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.patience import PATIENCE_S
 from tests.support.recorded_pair import RecordedPair
 from wyner.cli.main import main
 from wyner.drawing.run import LONG, draw_keys, draw_over_time
@@ -145,45 +143,3 @@ def test_the_command_prints_the_path_and_refuses_what_is_no_run(
     assert capsys.readouterr().out == f"{tmp_path / 'a.html'}\n"
     assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err == f"wyner: {tmp_path}: no run here, expected scenario.toml\n"
-
-
-# --- in a browser ---------------------------------------------------------------------------------
-
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no chromium or google-chrome to look with")
-def test_a_browser_shows_it_whole(run_dir: Path, tmp_path: Path) -> None:
-    """Lines have their colours, text is dark on light, and nothing sticks out on the right."""
-    image = pytest.importorskip("matplotlib.image")
-    page = write_report(run_dir, tmp_path / "page.html")
-    shot = tmp_path / "page.png"
-    assert BROWSER is not None
-    done = subprocess.run(
-        [
-            BROWSER,
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-            "--hide-scrollbars",
-            "--window-size=800,3000",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            f"--screenshot={shot}",
-            page.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    pixels = (image.imread(shot)[..., :3] * 255).round().astype(int)
-    assert pixels.shape == (3000, 800, 3)
-    for colour in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)):
-        near = abs(pixels - colour).max(axis=2) <= 8
-        assert near.sum() > 200, colour
-    paper = pixels[0, 0]
-    assert (abs(paper - pixels).max(axis=2) > 100).sum() > 5000
-    assert (pixels[:, -4:] == paper).all()

@@ -8,7 +8,6 @@ import time
 
 import pytest
 
-from runtime.errors import INTERRUPTED
 from runtime.signals import stop_on_signals
 from tests.support.patience import PATIENCE_S
 
@@ -104,36 +103,3 @@ def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
         check=False,
     )
     assert (done.returncode, done.stderr) == (130, "")
-
-
-STUCK = """
-import ctypes
-from runtime.signals import stop_on_signals
-libc = ctypes.CDLL(None)
-mutex = ctypes.create_string_buffer(64)
-libc.pthread_mutex_init(mutex, None)
-libc.pthread_mutex_lock(mutex)
-with stop_on_signals() as stopping:
-    print("ready", flush=True)
-    libc.pthread_mutex_lock(mutex)  # no signal ends this wait, and Python's handlers never run
-"""
-
-
-def test_a_second_signal_ends_a_program_whose_main_thread_never_comes_back() -> None:
-    """So it was with a session that did not close: neither signal was obeyed."""
-    with subprocess.Popen(
-        [sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True
-    ) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == "ready\n"
-        child.terminate()
-        time.sleep(0.2)
-        assert child.poll() is None
-        until = time.monotonic() + PATIENCE_S
-        while child.poll() is None and time.monotonic() < until:
-            child.terminate()  # on a busy machine two in a row may arrive as one
-            time.sleep(0.2)
-        try:
-            assert child.returncode == INTERRUPTED
-        finally:
-            child.kill()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from attacker_service.attacks import named
-from attacker_service.base import Model
+from attacker_service.base import LoopModel
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
@@ -32,7 +32,7 @@ def of(scenario: Scenario) -> tuple[Scenario, CandidateLaw]:
 
 
 def making(scenario: Scenario, name: str, **options: Any) -> Kind:
-    model, kind = Model.of(scenario), named(name)
+    model, kind = LoopModel.of(scenario), named(name)
     return lambda draw: kind(model, options, draw)
 
 

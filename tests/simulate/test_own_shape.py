@@ -1,57 +1,31 @@
 """A D_e of its own shape in the loop: engine, scalar loop, law and taps."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.alphabet import choose_alphabet, largest_certain
 from controller_service.sets.separation import AlphabetError, Separation
-from protocol.agreement import NO_SYMBOL
-from protocol.scenario import ConvexSet, Scenario
+from protocol.scenario import ConvexSet
+from studies.listeners import heard
 from studies.signalling import changed
-from tap_service.eavesdroppers import named
+from tap_service.capture.channel import View
 from tap_service.inference.fitted_shape import fitted_widths
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
-from wyner.simulate.engine.taps import transcript
 
 MESSAGE = b"We sail at dawn."
 
 
-def shaped(widths: tuple[float, float], spacing: float = 2.0, size: int = 2) -> Scenario:
-    return changed(
+def played(widths: tuple[float, float], spacing: float) -> tuple[Runs, Transfer]:
+    scenario = changed(
         "packed",
-        secrecy={"alpha": 1.0, "candidates": size, "disturbance": {"half_widths": list(widths)}},
+        secrecy={"alpha": 1.0, "candidates": 2, "disturbance": {"half_widths": list(widths)}},
         control={"alphabet": {"spacing": spacing}},
     )
-
-
-@cache
-def played(
-    widths: tuple[float, float], spacing: float = 2.0, size: int = 2, steps: int = 600
-) -> tuple[Scenario, Runs, Transfer]:
-    scenario = shaped(widths, spacing, size)
     law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(scenario, law, seed=7, runs=range(3), steps=steps, record=True)
-    return scenario, runs, transfer(runs, payloads=[MESSAGE])
-
-
-def rights(
-    name: str, case: tuple[Scenario, Runs, Transfer], place: int
-) -> tuple[float, list[bytes]]:
-    """Share of the key symbols that she names in the end, and her whole messages."""
-    scenario, runs, link = case
-    told = scenario.oracle_knowledge() if name == "oracle" else scenario.knowledge()
-    tap = named(name)(told)
-    live = [tap.observe(t).best for t in transcript(runs, link, place)]
-    best = {**dict(enumerate(live)), **{g.k: g.best for g in (*tap.final_guesses, *tap.review())}}
-    keys = link.agreed[:, place]
-    steps = np.flatnonzero(keys != NO_SYMBOL)
-    assert len(steps) > 0.9 * len(keys)
-    share = float(np.mean([best[k] == keys[k] for k in steps.tolist()]))
-    return share, list(tap.belief().whole)
+    runs = simulate_runs(scenario, law, seed=7, runs=range(3), steps=600, record=True)
+    return runs, transfer(runs, payloads=[MESSAGE])
 
 
 @pytest.mark.long
@@ -62,14 +36,14 @@ def rights(
 def test_the_nearest_in_her_shape_is_the_key_only_where_it_is_that_of_d_c(
     widths: tuple[float, float], spacing: float, nearest: float
 ) -> None:
-    case = played(widths, spacing)
-    shares = [rights("nearest-centre", case, place)[0] for place in range(3)]
+    runs, link = played(widths, spacing)
+    by_run = [heard(("nearest-centre", "text"), (runs, link), View(), place) for place in range(3)]
+    assert all(near.keys > 0.9 * runs.steps for near, _ in by_run)
+    shares = [near.later / near.keys for near, _ in by_run]
     assert np.mean(shares) == pytest.approx(nearest, abs=0.04)
-    for place in range(3):
-        share, whole = rights("text", case, place)
-        assert share == 1.0
-        assert MESSAGE in whole
-        assert rights("oracle", case, place) == (1.0, [MESSAGE])
+    for _, text in by_run:
+        assert text.later == text.keys
+        assert MESSAGE in text.belief.whole
 
 
 def test_a_fit_of_noise_alone_is_not_trusted_to_be_smaller_than_the_noise() -> None:

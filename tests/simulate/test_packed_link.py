@@ -16,16 +16,8 @@ from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.network import Simulation
 
 RUNS, STEPS = range(20), size(150, 500)
-D, D_C = (0.1, 0.1), (0.12, 0.12)
-SEVEN: dict[str, dict[str, Any]] = {
-    "uniform D": {"kind": "uniform", "half_widths": D},
-    "truncated Gaussian": {"kind": "truncated-gaussian", "half_widths": D},
-    "corners of D": {"kind": "corners", "half_widths": D},
-    "constant D": {"kind": "constant", "half_widths": D},
-    "uniform D_c": {"kind": "uniform", "half_widths": D_C},
-    "corners of D_c": {"kind": "corners", "half_widths": D_C},
-    "constant D_c": {"kind": "constant", "half_widths": D_C},
-}
+CORNERS = {"kind": "corners", "half_widths": (0.12, 0.12)}
+"""Of D_c."""
 SHIPPED = {
     "packed": 4,
     "packed-double-integrator": 4,
@@ -71,7 +63,7 @@ def test_bits_a_step_on_the_shipped_plants(name: str) -> None:
 
 def test_at_odd_alphas_one_symbol_less() -> None:
     """alpha is compared sharply: at 3 exactly two candidates cannot both stay within alpha."""
-    loop = system("packed", 2, 3.01, SEVEN["corners of D_c"])
+    loop = system("packed", 2, 3.01, CORNERS)
     runs = simulate_runs(*loop, seed=1, runs=RUNS, steps=500)
     agreed = follow(runs, [3.0, 3.01]).agreements.sum(axis=1) / (len(RUNS) * 500)
     assert agreed.tolist() == [pytest.approx(0.5, abs=0.02), 1.0]

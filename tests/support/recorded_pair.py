@@ -28,7 +28,7 @@ from protocol.link.records import Side
 from protocol.link.session import reports
 from protocol.link.step import Answered
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
-from protocol.scenario import Attack, Scenario, parse_scenario
+from protocol.scenario import AttackTable, Scenario, parse_scenario
 from protocol.secret.blocks import ClosedBlock
 from runtime.health import HealthFiles
 from runtime.pace import Pace
@@ -111,7 +111,7 @@ class RecordedPair(Pair):
         Pieces of the shipped scenario, and what stands there instead.
     pace : str
         ``realtime``: a step takes its period. ``fast``: lock-step.
-    attack : Attack, optional
+    attack : AttackTable, optional
         One on the bus needs a :attr:`relay` besides.
     seed : int, optional
         Of coins, covers and disturbances.
@@ -135,7 +135,7 @@ class RecordedPair(Pair):
         name: str = "sustained",
         more: str = "",
         pace: str = "realtime",
-        attack: Attack | None = None,
+        attack: AttackTable | None = None,
         changes: tuple[tuple[str, str], ...] = (),
         seed: int | None = 1,
         bounds: Bounds | None = None,

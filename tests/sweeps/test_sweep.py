@@ -461,18 +461,6 @@ def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
 # --- what a user sees ----------------------------------------------------------------------------
 
 
-def test_quick_runs_few_of_each_into_a_file_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    extra = "\n[quick]\nruns = 4\nsteps = 12\n"
-    assert main(["sweep", str(small(tmp_path, extra)), "--quick", "--jobs", "1", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["output"] == "runs/sweeps/small-quick.csv"
-    assert {p["runs"] for p in result["points"]} == {4}
-    assert {r["steps"] for r in read_rows(tmp_path / result["output"])} == {12}
-
-
 @pytest.mark.slow
 def test_a_law_that_knows_alpha_is_simulated_at_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -1,4 +1,4 @@
-"""The process beside the mirror: what it skips when it is far behind, and what it waits for."""
+"""The process beside the mirror: what it waits for, and how it ends."""
 
 import json
 import logging
@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import TapStatus
-from runtime import recording
-from runtime.recording import Bounds, parts_of
+from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from studies.secrecy.runs import Run, simulate
 from tap_service import analysis, listening
 from tap_service.analysis import Assignment, analyse
-from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
@@ -57,9 +55,8 @@ def header(run: Run, view: View) -> dict[str, object]:
     }
 
 
-def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
-    limits = Bounds(part_bytes=part_bytes, free_bytes=0)
-    log = RotatingLog(run_dir / CAPTURE, header(run, view), limits, LOG)
+def record(run: Run, run_dir: Path, view: View) -> None:
+    log = RotatingLog(run_dir / CAPTURE, header(run, view), Bounds(free_bytes=0), LOG)
     for i, message in enumerate(run.messages):
         log.write(mirror_line(i, message.topic, message.wire()))
         if i % 10 == 0:
@@ -98,45 +95,13 @@ def status_when_caught_up(pipe: Connection) -> TapStatus:
             return status
 
 
-@pytest.mark.parametrize("part_bytes", [10_000, 10**8])
-def test_every_message_is_heard_or_counted_as_skipped(
-    run: Run,
-    tmp_path: Path,
-    heard: list[object],
-    monkeypatch: pytest.MonkeyPatch,
-    part_bytes: int,
-) -> None:
-    monkeypatch.setattr(analysis, "FAR_BEHIND", 20_000)
-    monkeypatch.setattr(recording, "READ_BYTES", 4000)
-    record(run, tmp_path, part_bytes, View())
-    lines = sum(p.read_bytes().count(b"\n") - 2 for p in parts_of(tmp_path / CAPTURE))
-    readers: list[capture.CaptureReader] = []
-
-    def reader_of(*args: object) -> capture.CaptureReader:
-        readers.append(capture.CaptureReader(*args))  # type: ignore[arg-type]
-        return readers[-1]
-
-    monkeypatch.setattr(analysis, "CaptureReader", reader_of)
-    with started(run, tmp_path) as pipe:
-        status = status_when_caught_up(pipe)
-    (reader,) = readers
-    assert status.dropped == reader.skipped > 0
-    assert len(heard) + reader.skipped + reader.malformed + reader.torn == lines
-    # it leaves half of what is too much, but for one reading; headers count there
-    whole = b"".join(p.read_bytes() for p in parts_of(tmp_path / CAPTURE))
-    least = whole[-(analysis.FAR_BEHIND // 2 - recording.READ_BYTES) :].split(b"\n")[1:]
-    kept = sum(b'"topic":' in line and b'"message":' in line for line in least)
-    assert kept > 10
-    assert heard[-kept:] == list(run.messages[-kept:])
-
-
 def test_it_waits_for_a_capture_of_its_own_settings(
     run: Run, tmp_path: Path, heard: list[object]
 ) -> None:
-    record(run, tmp_path, 10**8, View(loss=0.5))
+    record(run, tmp_path, View(loss=0.5))
     with started(run, tmp_path) as pipe:
         assert not pipe.poll(0.1)
-        record(run, tmp_path, 10**8, View())
+        record(run, tmp_path, View())
         while len(heard) < len(run.messages):  # she may have caught up with its first line
             assert status_when_caught_up(pipe).dropped == 0
     assert heard == list(run.messages)

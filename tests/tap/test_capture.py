@@ -326,36 +326,6 @@ def test_what_is_not_read_yet_is_told_in_steps_of_two_messages(tmp_path: Path) -
     assert reader.behind_steps == 0
 
 
-@pytest.mark.parametrize("part_bytes", [2048, 10**6])
-@pytest.mark.parametrize("keep", [0, 3000])
-def test_skipping_ahead_counts_every_line_that_it_leaves_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int, keep: int
-) -> None:
-    monkeypatch.setattr(recording, "READ_BYTES", 1500)
-    limits = Bounds(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
-    path = tmp_path / CAPTURE
-    log = RotatingLog(path, {}, limits, LOG)
-    for k in range(200):
-        log.write(line_of(measurement(k)))
-        if k % 3 == 0:
-            log.write(malformed_line(k, "key", b"?"))
-        if k % 5 == 0:
-            log.write(b"no message")
-    log.close()
-    lines = sum(p.read_bytes().count(b"\n") - 2 for p in parts_of(path))
-    reader = CaptureReader(path)
-    records = of_the_loop(reader)
-    first = [next(records).k for _ in range(10)]
-    reader.skip(keep)
-    assert keep - 1500 <= reader.behind_bytes <= keep
-    rest = [m.k for m in of_the_loop(reader)]
-    assert first == list(range(10))
-    assert rest == list(range(200 - len(rest), 200))
-    assert bool(rest) == (keep > 0)
-    assert len(first) + len(rest) + reader.skipped + reader.torn + reader.malformed == lines == 307
-    assert reader.behind_bytes == 0
-
-
 def test_a_reader_that_is_left_and_taken_up_again_loses_nothing(tmp_path: Path) -> None:
     record(tmp_path / CAPTURE, 50).close()
     reader = CaptureReader(tmp_path)

@@ -193,8 +193,8 @@ class DesignReport:
         t = self.design.terminal
         if t.method == "rakovic":
             return (
-                f"T_0: Rakovic's approximation of order {t.order}, alpha {t.alpha:.3g}, within "
-                f"{t.bound:.3g} of the minimal invariant set"
+                f"T_0: Rakovic's approximation of order {t.order}, contraction {t.alpha:.3g}, "
+                f"within {t.bound:.3g} of the minimal invariant set"
             )
         kinds = {
             "interval": "the minimal invariant interval",

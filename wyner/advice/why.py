@@ -31,9 +31,6 @@ APART: Final = 2.0
 OFTEN: Final = 0.5
 """Share of the steps from which a reason is worth a remedy."""
 
-WORTH: Final = 0.03
-"""Share of the steps that a smaller D_c has to gain before it is advised."""
-
 FULL: Final = 0.9
 """Agreement above which nothing is to be explained."""
 
@@ -139,14 +136,8 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
         name: share_over_runs((int(n), steps) for n in flags.sum(axis=0))
         for name, flags in found.items()
     }
-    # The same states judged by the smallest D_c that still holds D, and by its D_e; of a shape of
-    # its own it stays.
-    room = room_in(scenario)
-    hers = 1.0 if scenario.secrecy.disturbance is not None else room
-    one = (gauges <= room * INSIDE).sum(axis=1) == 1
-    alone = one & (largest <= scenario.secrecy.alpha * hers)
     values = {name: share.value for name, share in shares.items()}
-    remedies = remedies_for(scenario, values, float(alone.mean()))
+    remedies = remedies_for(scenario, values)
     return Why(
         **shares,
         distance=float(np.median(apart)),
@@ -217,16 +208,7 @@ def packs(scenario: "Scenario") -> bool:
     return True
 
 
-def room_in(scenario: "Scenario") -> float:
-    """The share of D_c that D takes, in D_c's gauge; 1 where D is not known to stay inside."""
-    d = scenario.plant.disturbance
-    if d.kind == "gaussian" or d.may_leave_defender_set or d.enters not in (None, "state"):
-        return 1.0
-    H, h = (np.array(v) for v in scenario.defender.disturbance.rows())
-    return float((np.abs(H) @ np.array(d.half_widths) / h).max())
-
-
-def remedies_for(scenario: "Scenario", found: dict[str, float], tight: float) -> list[str]:
+def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
     """What to change, the most promising first; ``found`` are the shares of :class:`Why`."""
     control, remedies = scenario.control, []
     if found["agreed"] >= FULL:
@@ -252,12 +234,6 @@ def remedies_for(scenario: "Scenario", found: dict[str, float], tight: float) ->
                 "wider control.inputs: the candidates are at their bounds in "
                 f"{100 * found['saturated']:.0f} of 100 steps"
             )
-    if found["several"] >= OFTEN and tight > found["agreed"] + WORTH:
-        remedies.append(
-            "a D_c no larger than the disturbance needs: set defender.disturbance to "
-            f"{room_in(scenario):.2f} of it and keep today's under control.disturbance, and "
-            f"{100 * tight:.0f} of 100 steps make a key"
-        )
     if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
         remedies.append("a larger secrecy.alpha, if Eve really knows so little")
     if found["none"] > 1 - FULL:

@@ -33,9 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run on Dask workers: those of the scheduler at ADDRESS, or local ones",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the rows that are there")
-    parser.add_argument(
-        "--quick", action="store_true", help="few runs of each point, for a first look"
-    )
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     add_json(parser)
     add_options(parser)
@@ -65,15 +62,12 @@ def run(args: argparse.Namespace) -> int:
     path = shipped if not Path(args.file).is_file() and shipped.is_file() else Path(args.file)
     try:
         sweep = load_sweep(path)
-        if args.quick:
-            sweep = sweep.quickly()
         sweep = sweep.model_copy(
             update={"eavesdroppers": tuple(eavesdroppers_of(sweep, path.parent))}
         )
         find_each(sweep.eavesdroppers, named, f"{path}: eavesdroppers: ")
         points = points_of(sweep, path.parent)
-        name = sweep.name + ("-quick" if args.quick else "")
-        output = Path(args.output or f"runs/sweeps/{name}.csv")
+        output = Path(args.output or f"runs/sweeps/{sweep.name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
         if args.plot is not None and output.exists() and not args.resume:
             raise UsageError(

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from protocol.link.distiller import BlockEnded
 from protocol.secret.blocks import Schedule
-from wyner.runs.lines import BlockLine
 from wyner.runs.trace import Indices, Places, Trace
 
 
@@ -69,8 +69,8 @@ class Blocks:
                 yield block
 
 
-def ended(trace: Trace) -> Iterator[BlockLine]:
+def ended(trace: Trace) -> Iterator[BlockEnded]:
     """The blocks of which an end has keys, or had too few copies for any."""
     for told in trace.told("block"):
-        if isinstance(told.line, BlockLine) and told.line.what != "unequal":
+        if isinstance(told.line, BlockEnded) and told.line.what != "unequal":
             yield told.line

@@ -1,7 +1,6 @@
 """The field bus as the tap's capture holds it, read once from its first part to its last."""
 
 import base64
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -9,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
+from runtime.recording import CONTINUED, END, HEADER, number_of, parts_of
 from tap_service.capture.channel import View
 from tap_service.capture.recording import CAPTURE_VERSION
 from wyner.runs.marks import HEADS, Problem, Segments
@@ -24,13 +23,9 @@ TOLD: Final = frozenset(
 ) | {"appearances", "wyner_version"}
 """What else a capture's header may hold."""
 
-_LINE: Final = re.compile(
-    rb'\{"event":"field","t_ns":\d+,"topic":"[a-z]+","message":(?P<message>.*)\}'
-)
-
 
 class CapturedMessage(NamedTuple):
-    """A line of the capture that holds a message; ``raw`` is the message as it travelled."""
+    """A line of the capture that holds a message; ``raw`` is the message as it travels."""
 
     part: str
     number: int
@@ -52,7 +47,7 @@ class CaptureLines:
     Attributes
     ----------
     blurred : bool
-        The tap was told to see numbers badly, so that they cannot be compared.
+        The tap was told to see numbers badly, so that they cannot be compared; its header says so.
     strange : list of Problem
         Lines that hold no message of the field bus.
     parts : list of Segments
@@ -70,18 +65,9 @@ class CaptureLines:
         self.lines: dict[int, int] = {}
         self._paths = parts_of(path)
         self.dropped_parts = number_of(self._paths[0]) if self._paths else 0
-        for part in self._paths:
-            self._look_at_header(part)
 
     def __bool__(self) -> bool:
         return bool(self._paths)
-
-    def _look_at_header(self, part: Path) -> None:
-        first = next(raw_lines(part), None)
-        header = None if first is None else decode(first[1])
-        view = {} if header is None else header.get("view", {})
-        if isinstance(view, dict) and (view.get("noise") or view.get("quantise")):
-            self.blurred = True
 
     def __iter__(self) -> Iterator[CapturedMessage]:
         expected = self.dropped_parts
@@ -92,13 +78,13 @@ class CaptureLines:
             if number_of(part) != expected:
                 marks.problem(1, f"part {expected} is missing before it")
             expected = number_of(part) + 1
-            for number, raw, value in marks.read(part):
+            for number, _, value in marks.read(part):
                 assert value is not None
                 kind = value.get("event")
                 if kind == HEADER:
                     self._headed(part, marks, number, value)
                 elif kind not in (CONTINUED, END):
-                    seen = self._message(part, number, raw, value)
+                    seen = self._message(part, number, value)
                     if seen is not None:
                         yield seen
 
@@ -108,10 +94,10 @@ class CaptureLines:
             marks.problem(number, f"{name}: got {header.get(name)!r}")
         if unlike := _unlike_header(header):
             marks.problem(number, unlike)
+        else:
+            self.blurred = bool(header["view"].get("noise") or header["view"].get("quantise"))
 
-    def _message(
-        self, part: Path, number: int, raw: bytes, value: dict[str, Any]
-    ) -> CapturedMessage | None:
+    def _message(self, part: Path, number: int, value: dict[str, Any]) -> CapturedMessage | None:
         kind, message = value.get("event"), value.get("message")
         field = kind == "field" and value.keys() == {"event", "t_ns", "topic", "message"}
         self.lines[number_of(part)] += field or kind == "malformed"
@@ -120,12 +106,11 @@ class CaptureLines:
             text = _malformed(value) if kind == "malformed" else text
             self.strange.append(Problem(f"{part.name} line {number}", text))
             return None
-        match = _LINE.fullmatch(raw)
         k, session = message.get("k"), message.get("session")
         return CapturedMessage(
             part.name,
             number,
-            to_json(message) if match is None else match["message"],
+            to_json(message),
             str(value.get("topic")),
             session if isinstance(session, str) else "",
             k if isinstance(k, int) else -1,

@@ -3,11 +3,15 @@
 import base64
 import binascii
 from collections.abc import Sequence, Sized
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic_core import to_json
 
+from protocol.link.distiller import BlockEnded
+from protocol.link.events import Alarm, PowerFailed, SessionBegan, Timing
+from protocol.link.key_events import Appearances
 from protocol.link.session import Rules
 from protocol.vectors import Vector
 from protocol.wrong_fields import expected_of
@@ -109,101 +113,29 @@ class MissedLine:
         return INTERRUPTED if self.event == "interrupted" else MISSED
 
 
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class SessionLine:
-    """A session was begun, resumed or given up."""
-
-    event: Literal["session"]
-    session: str | None
-    reason: str
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class QueuedLine:
+class QueuedLine(NamedTuple):
     """A message was handed to the controller, or every symbol of it was counted there."""
 
-    event: Literal["sent", "delivered"]
     id: str
     payload: str
 
 
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class RecoveredLine:
+class RecoveredLine(NamedTuple):
     """A whole frame passed its check at the plant."""
 
-    event: Literal["recovered"]
     payload: str
 
 
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Refused:
+class Refused(NamedTuple):
     """A frame failed its check at the plant."""
 
-    event: Literal["refused"]
     session: str
     p: int
 
 
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class BlockLine:
-    """What became of a key block; ``keys`` were made of it."""
-
-    event: Literal["block"]
-    session: str
-    number: int
-    what: Literal["confirmed", "unequal", "poor"]
-    keys: int
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class AppearancesLine:
-    """How often a message of the side leaves from here on."""
-
-    event: Literal["appearances"]
-    session: str | None
-    k: int
-    times: int
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class AlarmLine:
-    """A transition made an alarm at the controller."""
-
-    event: Literal["alarm"]
-    session: str
-    j: int
-    k: int
-    reading: Vector
-    reason: Literal["unexplained", "another candidate", "digits refused", "unwatched"]
-    candidate: int
-    expected: Vector
-    gauge: float
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class TimingLine:
-    """How punctual the plant was."""
-
-    event: Literal["timing"]
-    k: int
-    steps: int
-    sampled_late_s: Vector
-    actuated_after_s: Vector
-    overruns: int
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class PowerLine:
-    """The machine was started again: the lines that stood before this process's may be lost."""
-
-    event: Literal["power_failed"]
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class AttackLine:
+class AttackLine(NamedTuple):
     """The plant is attacked: every parameter."""
 
-    event: Literal["attack"]
     kind: str
     at: Literal["sensor", "bus", "actuator"]
     onset: int
@@ -212,37 +144,72 @@ class AttackLine:
 
 
 EventLine = (
-    SessionLine
+    SessionBegan
     | QueuedLine
     | RecoveredLine
     | Refused
-    | BlockLine
-    | AppearancesLine
-    | AlarmLine
-    | TimingLine
+    | BlockEnded
+    | Appearances
+    | Alarm
+    | Timing
     | AttackLine
-    | PowerLine
+    | PowerFailed
 )
 
-
-def _adapters(*kinds: Any) -> dict[str, TypeAdapter[Any]]:
-    """By the events that the field ``event`` of each kind of line allows."""
-    return {
-        event: TypeAdapter(kind)
-        for kind in kinds
-        for event in get_args(kind.__annotations__["event"])
-    }
-
-
-_BOTH: Final = (SessionLine, BlockLine, AppearancesLine, PowerLine)
-
-KINDS: Final = {
-    "plant": _adapters(
-        TracedTransition, MissedLine, TimingLine, AttackLine, RecoveredLine, Refused, *_BOTH
-    ),
-    "controller": _adapters(TracedTransition, AlarmLine, QueuedLine, *_BOTH),
+_BOTH: Final[dict[str, Any]] = {
+    "transition": TracedTransition,
+    "session": SessionBegan,
+    "block": BlockEnded,
+    "appearances": Appearances,
+    "power_failed": PowerFailed,
 }
-"""What each side may trace: the event, and the type of its line."""
+
+EVENTS: Final[dict[str, dict[str, Any]]] = {
+    "plant": _BOTH
+    | dict.fromkeys(("missed", "interrupted"), MissedLine)
+    | {"timing": Timing, "attack": AttackLine, "recovered": RecoveredLine, "refused": Refused},
+    "controller": _BOTH | {"alarm": Alarm} | dict.fromkeys(("sent", "delivered"), QueuedLine),
+}
+"""What each side may trace, and the type of its line."""
+
+_TRANSITION: Final = TypeAdapter(TracedTransition)
+_MISSED: Final = TypeAdapter(MissedLine)
+_OTHERS: Final[dict[str, TypeAdapter[EventLine]]] = {
+    event: TypeAdapter(kind, config=ConfigDict(strict=True))
+    for kinds in EVENTS.values()
+    for event, kind in kinds.items()
+    if kind not in (TracedTransition, MissedLine)
+}
+
+
+def read_transition(raw: bytes) -> TracedTransition:
+    """A line of a transition.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        When it is not as it must be.
+    """
+    return _TRANSITION.validate_json(raw)
+
+
+def read_line(raw: bytes, value: dict[str, Any]) -> EventLine | MissedLine:
+    """Another line, whose JSON object is ``value``.
+
+    Raises
+    ------
+    ValueError
+        When it is not as it must be.
+    """
+    event = value["event"]
+    if event not in _OTHERS:
+        return _MISSED.validate_json(raw)
+    fields = {name: one for name, one in value.items() if name != "event"}
+    line = _OTHERS[event].validate_json(to_json(fields))
+    for name in line._fields:
+        if name not in fields:
+            raise ValueError(f"{name}: expected, and there is none")
+    return line
 
 
 class OtherLine(NamedTuple):
@@ -252,6 +219,7 @@ class OtherLine(NamedTuple):
     before, and so had its transition.
     """
 
+    event: str
     line: EventLine
     payload: bytes
     again: bool = False

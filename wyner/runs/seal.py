@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from runtime.files import open_regular, read_regular, write_atomically
-from runtime.recording import CONTINUED, decode
 from runtime.run_folder import MANIFEST, SUMMARY
 
 READ: Final = (
@@ -118,7 +117,10 @@ def broken(run_dir: Path, manifest: dict[str, Any] | None) -> Iterator[tuple[str
 
 
 def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
-    """The folders of services that were started again after the seal: their recordings say so."""
+    """The folders of services that were started again after the seal: their recordings went on.
+
+    Each recording's marks say whether another life of its writer begins there.
+    """
     if not is_sealed(manifest):
         return set()
     assert manifest is not None
@@ -128,17 +130,9 @@ def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
         if not name.endswith(".jsonl") or not isinstance(held, dict) or not path.is_file():
             continue
         size = held.get("bytes")
-        if isinstance(size, int) and path.stat().st_size > size and _continues(path, size):
+        if isinstance(size, int) and path.stat().st_size > size:
             found.add(name.rpartition("/")[0])
     return found
-
-
-def _continues(path: Path, size: int) -> bool:
-    """Whether another incarnation of the writer begins behind its first ``size`` bytes."""
-    with open_regular(path) as file:
-        file.seek(size)
-        first = file.read(4096).lstrip(b"\n").split(b"\n")[0]
-    return (decode(first) or {}).get("event") == CONTINUED
 
 
 def evidence_below(run_dir: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from protocol.link.events import MET, REASONS, RESUMED
+from protocol.link.events import MET, REASONS, RESUMED, PowerFailed, SessionBegan
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from runtime.recording import (
@@ -26,7 +26,7 @@ from runtime.recording import (
     parts_of,
 )
 from wyner.runs.lines import (
-    KINDS,
+    EVENTS,
     TRANSITION,
     Again,
     AttackLine,
@@ -35,11 +35,11 @@ from wyner.runs.lines import (
     Item,
     MissedLine,
     OtherLine,
-    PowerLine,
-    SessionLine,
     Shape,
     TracedTransition,
     payload_of,
+    read_line,
+    read_transition,
     wrong,
 )
 from wyner.runs.marks import HEADS, Problem, Segments
@@ -178,7 +178,7 @@ class Trace:
         paths = parts_of(path)
         self.gone = number_of(paths[0]) if paths else 0
         self._rules, self._shape, self._noisy = rules, Shape.of(rules), noisy
-        self._kinds, self._seeking = KINDS[side], self.gone > 0
+        self._seeking = self.gone > 0
         self._part, self._kept = path, 0
         self._session: str | None = None
         self._resolver = Resolver()
@@ -244,7 +244,7 @@ class Trace:
     def noted(self, *events: str) -> Iterator[tuple[int, OtherLine]]:
         """The same, each with the number of rows before it."""
         for at, item in self.notes[: self._sure]:
-            if isinstance(item, OtherLine) and not item.again and item.line.event in events:
+            if isinstance(item, OtherLine) and not item.again and item.event in events:
                 yield at, item
 
     @property
@@ -307,14 +307,14 @@ class Trace:
         if kind in (HEADER, CONTINUED, END):
             self._mark(number, value)
             return
-        adapter = self._kinds.get(kind) if isinstance(kind, str) else None
+        events = EVENTS[self.side]
         if kind == "transition":
             self._transition(number, raw)
-        elif adapter is None:
-            self._problem(number, f"event: got {kind!r}, expected one of {', '.join(self._kinds)}")
+        elif not isinstance(kind, str) or kind not in events:
+            self._problem(number, f"event: got {kind!r}, expected one of {', '.join(events)}")
         else:
             try:
-                self._other(number, adapter.validate_json(raw))
+                self._other(number, kind, read_line(raw, value))
             except ValidationError as error:
                 self._problem(number, f"{kind}: {wrong(error)}")
             except ValueError as error:
@@ -330,19 +330,19 @@ class Trace:
             self._mending = False
             self._announce, self.of_last, self._killed = self.side == "plant", 0, not ended
 
-    def _other(self, number: int, line: EventLine | MissedLine) -> None:
+    def _other(self, number: int, event: str, line: EventLine | MissedLine) -> None:
         if isinstance(line, MissedLine):
             if unlike := self._shape.unlike_missed(line) or self._unlabelled(line):
                 raise ValueError(unlike)
             self._missed(number, line)
             return
-        if isinstance(line, PowerLine):
+        if isinstance(line, PowerFailed):
             self._power_failed(number)
             return
-        if self._mending and line.event not in ("session", "attack", "sent"):
+        if self._mending and event not in ("session", "attack", "sent"):
             return
-        told = OtherLine(line, payload_of(line))
-        if line.event in REPORTS:
+        told = OtherLine(event, line, payload_of(line))
+        if event in REPORTS:
             counts = self._resolver.report()
             if counts is Counts.BEHIND:
                 self.behind += 1
@@ -351,7 +351,7 @@ class Trace:
             self.overwritten += told.again
         if isinstance(line, AttackLine):
             self.attack = line
-        if isinstance(line, SessionLine):
+        if isinstance(line, SessionBegan):
             self._began(number, line)
         elif self._announce:
             self._unannounced(number)
@@ -368,7 +368,7 @@ class Trace:
             self.gaps.add(self._count)
             if self._session is not None:
                 self._lost.add(self._session)
-            self._note(OtherLine(PowerLine("power_failed"), b""))
+            self._note(OtherLine("power_failed", PowerFailed(), b""))
 
     def _note(self, item: Item) -> None:
         self.notes.append(Note(self._count, item))
@@ -391,7 +391,7 @@ class Trace:
             oldest = 0
         self.header, self._kept = first, oldest
 
-    def _began(self, number: int, line: SessionLine) -> None:
+    def _began(self, number: int, line: SessionBegan) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
             self._problem(number, "session: announced already")
         if line.reason not in REASONS[self.side]:
@@ -407,7 +407,7 @@ class Trace:
         if line.session is not None:
             self.announced.add(line.session)
 
-    def _unlike(self, line: SessionLine) -> str:
+    def _unlike(self, line: SessionBegan) -> str:
         """What of a session's line cannot be for its reason."""
         if self.side == "controller":
             return "" if (line.reason == MET) == (line.session is not None) else "of no session"
@@ -443,7 +443,7 @@ class Trace:
 
     def _transition(self, number: int, raw: bytes) -> None:
         try:
-            t: TracedTransition = self._kinds["transition"].validate_json(raw)
+            t: TracedTransition = read_transition(raw)
         except ValidationError as error:
             self._problem(number, f"transition: {wrong(error)}")
             return

@@ -58,13 +58,6 @@ class Variant(_Part):
     set: dict[str, Any] = {}
 
 
-class Quick(_Part):
-    """What ``--quick`` replaces."""
-
-    runs: Annotated[int, Field(ge=1)] = 20
-    steps: Annotated[int, Field(ge=2)] | None = None
-
-
 class Sweep(_Part):
     """A sweep file.
 
@@ -100,7 +93,6 @@ class Sweep(_Part):
     variant: tuple[Variant, ...] = (Variant(label=""),)
     eavesdroppers: tuple[str, ...] = ()
     message: Annotated[str, Field(min_length=1, max_length=1000)] = "At nine."
-    quick: Quick = Quick()
 
     @model_validator(mode="after")
     def _points_can_be_told_apart(self) -> Self:
@@ -122,11 +114,6 @@ class Sweep(_Part):
         """What tells its points apart: the grid's fields, and of several scenarios the file."""
         several = not isinstance(self.scenario, str) and len(self.scenario) > 1
         return (FILE, *self.grid) if several else tuple(self.grid)
-
-    def quickly(self) -> "Sweep":
-        """The same grid with few runs."""
-        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps}
-        return self.model_copy(update=changes)
 
 
 def load_sweep(path: Path) -> Sweep:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
-from operator import itemgetter
 from typing import Any
 
 from controller_service.laws.base import CandidateLaw
@@ -217,19 +216,10 @@ class _Task:
 def _missing(
     group: Group, done: dict[tuple[str, str, str], list[Row]], sweep: Sweep
 ) -> Iterator[_Task]:
-    """What the rows of each point leave out, batch by batch."""
-    for begin in range(0, sweep.runs, sweep.batch):
-        end = min(begin + sweep.batch, sweep.runs)
-        lacking: dict[tuple[int, int], list[Point]] = {}
-        for p in group.points:
-            at = begin
-            for row in sorted(done.get(p.key, ()), key=itemgetter("first_run")):
-                first, after = row["first_run"], row["first_run"] + row["runs"]
-                if begin <= first < begin + sweep.batch:
-                    if at < min(first, end):
-                        lacking.setdefault((at, min(first, end)), []).append(p)
-                    at = after
-            if at < end:
-                lacking.setdefault((at, end), []).append(p)
-        for (at, until), them in lacking.items():
-            yield _Task(group, them, at, until - at)
+    """What follows the rows of each point, batch by batch."""
+    at = {p.key: sum(row["runs"] for row in done.get(p.key, ())) for p in group.points}
+    while (first := min(at.values())) < sweep.runs:
+        points = [p for p in group.points if at[p.key] == first]
+        runs = min(sweep.batch - first % sweep.batch, sweep.runs - first)
+        yield _Task(group, points, first, runs)
+        at |= {p.key: first + runs for p in points}

@@ -14,6 +14,7 @@ from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run
 from wyner.runs.score.keys import audit_keys
+from wyner.runs.seal import evidence_below
 
 Line = dict[str, Any]
 
@@ -31,6 +32,14 @@ def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     summary = json.loads((run / "summary.json").read_text())["keys"]
     assert summary["made"] == audit.made
     assert summary["refused"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_every_file_that_a_run_leaves_is_evidence(run: Path) -> None:
+    left = {path for path in run.rglob("*") if path.is_file()} - {*evidence_below(run)}
+    none = {path for path in left if path.name in ("lock", "log.old") or path.name[0] == "."}
+    assert left == none
 
 
 @pytest.mark.slow

@@ -123,7 +123,6 @@ def test_a_message_that_is_gone_from_the_controllers_queue_is_missed(
 @pytest.mark.parametrize("field", ["onset", "knows", "options"])
 def test_an_attack_that_is_told_otherwise_than_the_manifest_has_it_is_seen(field: str) -> None:
     line: dict[str, Any] = {
-        "event": "attack",
         "kind": "ghost",
         "at": "sensor",
         "onset": 5,
@@ -131,7 +130,7 @@ def test_an_attack_that_is_told_otherwise_than_the_manifest_has_it_is_seen(field
     }
     line["options"] = {"share": 0.5}
     attack = AttackLine(**line)
-    said = {name: value for name, value in line.items() if name != "event"} | {"knows": ["bus"]}
+    said = line | {"knows": ["bus"]}
     assert unlike_manifest(attack, said) == ""
     other: dict[str, Any] = {"onset": 6, "knows": [], "options": {"share": 0.25}}
     assert "the manifest" in unlike_manifest(attack, said | {field: other[field]})

@@ -2,14 +2,17 @@
 
 import contextlib
 import json
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from protocol.scenario import ScenarioError
 from runtime.files import write_atomically
 from runtime.recording import LineWriter
 from runtime.run_folder import (
@@ -19,6 +22,7 @@ from runtime.run_folder import (
     KNOWLEDGE,
     MANIFEST,
     MESSAGE,
+    PLANT_JOURNAL,
     PLANT_STATUS,
     PLANT_TRACE,
     SCENARIO,
@@ -31,7 +35,7 @@ from tests.support.recorded_pair import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.seal import READ, SEAL_ALONE, broken, seal
+from wyner.runs.seal import READ, SEAL_ALONE, broken, evidence_below, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
     CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
@@ -78,6 +82,69 @@ def test_an_honest_run_passes_and_a_table_that_is_made_later_is_none_of_it(run: 
     assert failed(run) == set()
 
 
+def emptied(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def truncated(path: Path) -> None:
+    os.truncate(path, path.stat().st_size * 3 // 4)
+
+
+def one_record_changed(path: Path) -> None:
+    """A digit in the middle, or another byte."""
+    raw = bytearray(path.read_bytes())
+    digits = [i for i, byte in enumerate(raw) if chr(byte).isdigit()]
+    raw[digits[len(digits) // 2] if digits else len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+
+UNSEEN: dict[Callable[[Path], None], set[Path]] = {
+    Path.unlink: {MANIFEST, TAP_STATUS, CONTROLLER_JOURNAL, PLANT_JOURNAL},
+    emptied: set(),
+    truncated: set(),
+    one_record_changed: {TAP_STATUS},  # a smaller count of the capture, or another time
+}
+"""What may be so where no seal holds it."""
+
+
+@pytest.mark.parametrize("how", UNSEEN)
+def test_no_evidence_changes_unseen(run: Path, how: Callable[[Path], None]) -> None:
+    for path in evidence_below(run):
+        before = path.read_bytes()
+        how(path)
+        found = {} if path == run / MANIFEST else wrong(run)
+        assert str(path.relative_to(run)) in found or not passes(run), path
+        path.write_bytes(before)
+
+
+@pytest.mark.parametrize("how", UNSEEN)
+def test_without_a_seal_the_rules_see_what_they_are_said_to(
+    run: Path, how: Callable[[Path], None]
+) -> None:
+    unseal(run)
+    (run / SUMMARY).unlink()
+    assert failed(run) == set()
+    for path in {path for pattern in READ for path in run.glob(pattern)}:
+        before = path.read_bytes()
+        how(path)
+        assert path.relative_to(run) in UNSEEN[how] or not passes(run), path
+        path.write_bytes(before)
+
+
+def passes(run: Path) -> bool:
+    """A folder that is no run any more does not pass."""
+    try:
+        return not failed(run)
+    except (ScenarioError, FileNotFoundError):
+        return False
+
+
+def unseal(run: Path) -> None:
+    manifest = json.loads((run / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    put(run, MANIFEST, manifest)
+
+
 @pytest.mark.parametrize("name", [str(CONTROLLER_JOURNAL), str(PLANT_TRACE), "plant/log"])
 def test_looking_at_a_run_writes_nothing_in_its_folder(run: Path, name: str) -> None:
     def listing() -> dict[str, tuple[int, bytes]]:
@@ -102,9 +169,7 @@ def test_a_run_that_is_killed_while_it_is_sealed_passes(
 ) -> None:
     """Before or after any write or change of name: sealed, or as if killed altogether."""
     (run / SUMMARY).unlink()
-    manifest = json.loads((run / MANIFEST).read_bytes())
-    del manifest["files"], manifest["manifest"]
-    put(run, MANIFEST, manifest)
+    unseal(run)
     calls = 0
     replace = Path.replace
 
@@ -170,9 +235,7 @@ def test_a_run_that_goes_on_is_refused_in_a_line(
 
 
 def test_a_seal_that_is_gone_is_missed(run: Path) -> None:
-    manifest = json.loads((run / MANIFEST).read_bytes())
-    del manifest["files"], manifest["manifest"]
-    put(run, MANIFEST, manifest)
+    unseal(run)
     assert wrong(run) == {"manifest.json": "the run was summed up, and its seal is gone"}
     (run / MANIFEST).unlink()
     assert "whole" in failed(run)

@@ -1,37 +1,21 @@
 """Every alarm is right, and none is missing."""
 
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
+from controller_service.alarms import alarm_of, first, session_ended, tested
+from protocol.agreement import NO_SYMBOL, AgreementResult
+from protocol.box_observer import Box
+from protocol.link.events import Alarm, PowerFailed, SessionBegan
+from protocol.link.records import AlarmRecord, LinkRecord
+from protocol.link.session import Counted, CountedTransition, Rules
+from protocol.messages import Measurement, Offer
+from protocol.schemes.base import Carry
+from wyner.runs.check.evidence import Evidence, Finding, Findings
+from wyner.runs.lines import OtherLine
 
-from protocol.agreement import NO_SYMBOL
-from protocol.defence.watch import NEVER
-from protocol.link.session import Rules
-from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
-from wyner.runs.lines import AlarmLine, OtherLine, PowerLine, SessionLine
-
-PREDICTED: Final = 1e-9
-"""Relative: an expected state is a sum of products in an order of its own."""
-
-Numbers = list[float]
-
-
-class Tested(NamedTuple):
-    """A transition at the controller, in the columns that a test sees."""
-
-    session: int
-    j: int
-    k: int
-    gauges: Numbers
-    expected: int
-    keyed: bool
-    x: Numbers
-    candidates: list[Numbers]
-    x_next: Numbers
-    block: int = -1
-    box: list[Numbers] | None = None
-    predictions: list[Numbers] | None = None
+COLUMNS = ("session", "j", "k", "gauges", "expected", "keyed", "x", "candidates", "x_next")
+MORE = ("block", "box", "predictions")
+"""Columns that a test sees; the last where there are any."""
 
 
 def alarms(e: Evidence) -> Findings:
@@ -39,120 +23,116 @@ def alarms(e: Evidence) -> Findings:
     trace = e.controller
     if trace is None:
         return
-    names = [name for name in Tested._fields if name in (trace.rows.dtype.names or ())]
-    test = _Test(e.rules)
-    t: Tested | None = None
+    names = (*COLUMNS, *(name for name in MORE if name in (trace.rows.dtype.names or ())))
+    rules, record, newest = e.rules, AlarmRecord(), None
+    t: dict[str, Any] | None = None
     known = trace.gone == 0  # of a cut trace, once another session has begun
     lost = False  # after a power failure nobody knows how many steps had no digit
-    due: dict[tuple[str, int], tuple[Tested, str, bool]] = {}
+    due: dict[tuple[str, int], _Due] = {}
     for row, item in trace.walk(*names):
         if item is None:
-            before, t = t, Tested(**dict(zip(names, row, strict=True)))
-            if t.j < 0:
+            before, t = t, dict(zip(names, row, strict=True))
+            if t["j"] < 0:
                 continue
-            known = known or (before is not None and before.session != t.session)
-            if t.expected != NO_SYMBOL and not t.keyed:
-                text = f"expected: got {t.expected}, and no digits served"
-                yield Finding("alarms", trace.sessions[t.session], t.k, text)
-            if test.over and known and not lost:
+            session, k = trace.sessions[t["session"]], t["k"]
+            if before is None or before["session"] != t["session"]:
+                known, record = known or before is not None, record._replace(failed=0)
+            if t["expected"] != NO_SYMBOL and not t["keyed"]:
+                text = f"expected: got {t['expected']}, and no digits served"
+                yield Finding("alarms", session, k, text)
+            if first(rules, record).reason and known and not lost:
                 text = "too many steps had no digit before, and no alarm is told"
-                yield Finding("alarms", trace.sessions[t.session], t.k, text)
-            if reason := test.failed(t):
+                yield Finding("alarms", session, k, text)
+            offer, transition = _made(session, t)
+            counted = Counted(
+                transition.verdict,
+                LinkRecord(),
+                Carry(NO_SYMBOL, NO_SYMBOL),
+                () if t["expected"] == NO_SYMBOL else (t["expected"],),
+            )
+            record, _, reason = tested(rules, record, offer, counted)
+            if reason:
                 sure = known and not (lost and reason == "unwatched")
-                due[trace.sessions[t.session], t.j] = t, reason, sure
-        elif isinstance(item, OtherLine) and isinstance(item.line, PowerLine):
+                due[session, t["j"]] = _Due(rules, offer, transition, reason, sure)
+        elif not isinstance(item, OtherLine):
+            continue
+        elif isinstance(item.line, PowerFailed):
             lost = True
             if t is not None:  # its alarm may be lost
-                due.pop((trace.sessions[t.session], t.j), None)
-        elif isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
-            test.began(item.line.session)
-        elif isinstance(item, OtherLine) and isinstance(item.line, AlarmLine):
+                due.pop((trace.sessions[t["session"]], t["j"]), None)
+        elif isinstance(item.line, SessionBegan):
+            if item.line.session not in (None, newest):
+                newest, record = item.line.session, session_ended(rules, record)
+        elif isinstance(item.line, Alarm):
             line = item.line
+            unsure = trace.behind or not known or (lost and line.reason == "unwatched")
+            told = due.pop((line.session, line.j), None)
+            text = ""
             if line.j < 0:
-                told = line.reason == "unwatched" and (test.over or item.again)
-                if not told and known and not lost and not trace.behind:
-                    yield Finding("alarms", line.session, line.k, "an alarm before its time")
-                test.total, lost = 0.0, False
-                continue
-            tested, reason, _ = due.pop((line.session, line.j), (None, "", False))
-            if tested is not None:
-                text = _unlike(e, line, tested, reason)
-            else:
-                unsure = trace.behind or not known or (lost and line.reason == "unwatched")
-                text = "" if unsure else "an alarm, and the test did not fail"
+                right = line.reason == "unwatched" and (first(rules, record).reason or item.again)
+                text = "" if right or unsure or lost else "an alarm before its time"
+            elif told is not None:
+                text = told.unlike(line)
+            elif not unsure:
+                text = "an alarm, and the test did not fail"
             if text:
                 yield Finding("alarms", line.session, line.k, text)
-            if lost and line.reason == "unwatched":
-                test.total, lost = 0.0, False
-    for (session, _), (tested, _, sure) in due.items():
-        cut_off = tested is t and not trace.ended
-        if sure and not cut_off and not trace.behind:
-            yield Finding("alarms", session, tested.k, "its test failed, and no alarm is told")
+            if line.j < 0 or (lost and line.reason == "unwatched"):
+                record, lost = record._replace(unwatched=0.0), False
+    for (session, j), told in due.items():
+        is_last = t is not None and (trace.sessions[t["session"]], t["j"]) == (session, j)
+        if told.sure and not trace.behind and (trace.ended or not is_last):
+            text = "its test failed, and no alarm is told"
+            yield Finding("alarms", session, told.transition.k, text)
 
 
-@dataclass
-class _Test:
-    """The rule that makes an alarm, from one transition to the next."""
+class _Due(NamedTuple):
+    """A transition whose test failed, and whether that is sure."""
 
     rules: Rules
-    session: int = -1
-    before: int = 0  # the tests that failed, as the rule remembers them
-    total: float = NEVER
-    newest: str | None = None
+    offer: Offer
+    transition: CountedTransition
+    reason: Any
+    sure: bool
 
-    def failed(self, t: Tested) -> str:
-        """Why a transition makes an alarm; empty where it makes none."""
-        rules = self.rules
-        if t.session != self.session:
-            self.session, self.before = t.session, 0
-        explained = [g <= 1 + EDGE for g in t.gauges]
-        watched = t.expected != NO_SYMBOL
-        holds = explained[t.expected] if watched else any(explained)
-        refused = rules.keyed and t.block >= 0 and not t.keyed
-        alarm, self.before = rules.alarm_rule.test(self.before, failed=not holds or refused)
-        reason = ""
-        if alarm:
-            reason = "digits refused" if holds else "unexplained"
-            reason = "another candidate" if not holds and watched else reason
-        if rules.keyed:
-            self.total, too_many = rules.watch.after(self.total, watched=watched)
-            reason = reason or ("unwatched" if too_many else "")
-        return reason
-
-    def began(self, session: str | None) -> None:
-        """A session began: of the last step of the one before nobody has heard."""
-        if session is None or session == self.newest:
-            return
-        self.newest = session
-        if self.rules.keyed:
-            self.total = self.rules.watch.unheard(self.total)
-
-    @property
-    def over(self) -> bool:
-        """Whether the first reading of a session makes an alarm."""
-        return self.total > self.rules.watch.burst
+    def unlike(self, line: Alarm) -> str:
+        """In what an alarm is not the one that is due; empty where it is."""
+        t = self.transition
+        read = Measurement.model_construct(
+            session=t.session, k=t.k + 1, x=t.x_next, applied_k=t.k, x_after=t.x_next
+        )
+        due = alarm_of(self.rules, read, t, self.offer, self.reason)
+        return "" if line == due else f"the alarm says {tuple(line)}, the test {tuple(due)}"
 
 
-def _unlike(e: Evidence, line: AlarmLine, t: Tested, reason: str) -> str:
-    """In what an alarm is not the one that is due."""
-    nearest = min(range(len(t.gauges)), key=t.gauges.__getitem__)
-    candidate = nearest if t.expected == NO_SYMBOL else t.expected
-    told = (line.k, list(line.reading), line.reason, line.candidate)
-    if told != (t.k, t.x_next, reason, candidate):
-        return f"the alarm says {told}, the test {(t.k, t.x_next, reason, candidate)}"
-    if line.gauge != t.gauges[candidate]:
-        return f"the alarm's gauge is {line.gauge}, recomputed {t.gauges[candidate]}"
-    A, B = np.array(e.scenario.A), np.array(e.scenario.B)
-    x = np.array(t.x) if t.box is None else np.mean(t.box, axis=0)
-    centre = A @ x + B @ np.array(t.candidates[candidate])
-    if t.predictions is not None:
-        centre = np.array(t.predictions[candidate])
-    elif e.scenario.observer is not None:
-        centre = np.array(e.scenario.observer.C) @ centre
-    expected = np.array(line.expected)
-    near = (
-        expected.shape == centre.shape
-        and (np.abs(expected - centre) <= PREDICTED * np.maximum(1.0, np.abs(centre))).all()
+def _made(session: str, t: dict[str, Any]) -> tuple[Offer, CountedTransition]:
+    """The offer and the transition of a row, as far as a test sees them."""
+    candidates = tuple(map(tuple, t["candidates"]))
+    offer = Offer.model_construct(
+        session=session,
+        k=t["k"],
+        candidates=candidates,
+        cipher=0,
+        predictions=tuple(map(tuple, t.get("predictions", ()))),
+        stream_block=t.get("block", -1),
+        stream_at=0,
     )
-    text = f"the alarm expects {line.expected}, f_c of its candidate is {centre.tolist()}"
-    return "" if near else text
+    box = Box(*map(tuple, t["box"])) if "box" in t else None
+    return offer, CountedTransition(
+        session=session,
+        j=t["j"],
+        k=t["k"],
+        x=tuple(t["x"]),
+        candidates=candidates,
+        cipher=0,
+        x_next=tuple(t["x_next"]),
+        role="test",
+        verdict=AgreementResult(tuple(t["gauges"]), NO_SYMBOL, box=box),
+        symbol=NO_SYMBOL,
+        key=NO_SYMBOL,
+        message_symbol=NO_SYMBOL,
+        p=0,
+        s=0,
+        tested=True,
+        expected=t["expected"],
+    )

@@ -131,7 +131,10 @@ class Steps:
         self._open: dict[str, int] = {}  # the symbol decided after a session's last transition
         begun = plant.rows["k"][applied & (plant.rows["session"] == 0)]
         self._first_k = int(begun[0]) if len(begun) else -1
-        self._blurred = e.capture is not None and e.capture.blurred
+
+    @property
+    def _blurred(self) -> bool:
+        return self._e.capture is not None and self._e.capture.blurred
 
     def compare(self, part: list[Heard], shapes: "Shapes") -> Findings:
         """Compare messages with the plant's steps."""
@@ -252,7 +255,7 @@ class Seen:
     """What shows a second message of one number that differs, and what left twice."""
 
     def __init__(self, e: Evidence) -> None:
-        self._keys, self._blurred = e.rules.schedule is not None, e.capture and e.capture.blurred
+        self._keys, self._capture = e.rules.schedule is not None, e.capture
         self._first: dict[tuple[str, str], array[int]] = {}
         self._far: dict[tuple[str, str, int], int] = {}
         self._sessions: dict[str, int] = {}
@@ -260,7 +263,8 @@ class Seen:
 
     def look(self, seen: CapturedMessage, message: Measurement | Offer) -> Findings:
         """Note a message."""
-        if not self._blurred and not self._same(seen):
+        blurred = self._capture is not None and self._capture.blurred
+        if not blurred and not self._same(seen):
             text = f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
             yield Finding("wire", seen.session, seen.k, text)
         if self._keys:

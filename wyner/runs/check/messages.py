@@ -3,11 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from protocol.link.events import NEW_JOURNAL
+from protocol.link.events import NEW_JOURNAL, PowerFailed, SessionBegan
 from protocol.schemes.framing import Deframer
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.journals import JournalState
-from wyner.runs.lines import Again, Break, Item, OtherLine, PowerLine, QueuedLine, SessionLine
+from wyner.runs.lines import Again, Break, Item, OtherLine, QueuedLine
 from wyner.runs.trace import Trace
 
 REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
@@ -108,21 +108,21 @@ class Framing:
 
     def _told(self, item: OtherLine) -> None:
         line = item.line
-        if isinstance(line, SessionLine) and line.reason == NEW_JOURNAL:
+        if isinstance(line, SessionBegan) and line.reason == NEW_JOURNAL:
             self.received.append(None)
-        self.lost = self.lost or isinstance(line, PowerLine)
-        if line.event not in ("recovered", "refused", "delivered"):
+        self.lost = self.lost or isinstance(line, PowerFailed)
+        if item.event not in ("recovered", "refused", "delivered"):
             return
         due, self.due = self.due, None
         if self.unknown or (item.again and self.last is None):
             self.unknown = False
             return
         if due is None:
-            self._fail(f"{line.event} {item.payload!r}, which its symbols do not add up to there")
-        elif line.event == "refused":
+            self._fail(f"{item.event} {item.payload!r}, which its symbols do not add up to there")
+        elif item.event == "refused":
             self._fail("the plant refused a frame", due)
         elif due.payload != item.payload:
-            text = f"{line.event} {item.payload!r}, its symbols add up to {due.payload!r}"
+            text = f"{item.event} {item.payload!r}, its symbols add up to {due.payload!r}"
             self._fail(text, due)
 
     def _overdue(self, whole: WholeFrame | None) -> None:
@@ -195,21 +195,20 @@ class Queue:
             self.died = self.died and row[0] != self.session
             self.session, self.k = row
         elif isinstance(item, OtherLine):
-            if isinstance(item.line, SessionLine):
+            if isinstance(item.line, SessionBegan):
                 self.lost = self.lost or self.died
-            elif isinstance(item.line, PowerLine):
+            elif isinstance(item.line, PowerFailed):
                 self.lost = True
                 self.gaps.add(len(self.told))
             elif isinstance(item.line, QueuedLine):
-                self._queued(item.line, item.payload)
+                self._queued(item.event, item.line.id, item.payload)
         elif isinstance(item, Break):
             self.restarted = self.died = True
             if latest and not item.ended:
                 self.doubtful[latest] = len(self.told) - 1
 
-    def _queued(self, line: QueuedLine, payload: bytes) -> None:
-        name = line.id
-        if line.event == "delivered":
+    def _queued(self, event: str, name: str, payload: bytes) -> None:
+        if event == "delivered":
             here = self.trace.sessions[self.session] if self.session >= 0 else ""
             if not self.plant.may_lack(here, self.k):  # else its report may be lost there
                 self.delivered.append(payload)

@@ -1,14 +1,13 @@
 """What an attack came to: onset, alarm, and how far the plant was from what was shown."""
 
-from dataclasses import fields
 from typing import Any, Final
 
 import numpy as np
 
 from protocol.arrays import Array
-from protocol.link.events import AttackBegan
+from protocol.link.events import Alarm, AttackBegan
 from protocol.statistics import GIVEN
-from wyner.runs.lines import AlarmLine, AttackLine
+from wyner.runs.lines import AttackLine
 from wyner.runs.run import Run
 from wyner.runs.score.counts import truth_of
 from wyner.runs.trace import Places, Trace
@@ -43,7 +42,7 @@ def attacked(run: Run) -> dict[str, Any] | None:
     if controller is not None:
         for told in controller.told("alarm"):
             line = told.line
-            assert isinstance(line, AlarmLine)
+            assert isinstance(line, Alarm)
             at = places.of(line.session, line.k)
             alarms.append((line.k + 1 if at < 0 else at + begin, line.k + 1))
         rows = controller.steps
@@ -61,7 +60,7 @@ def attacked(run: Run) -> dict[str, Any] | None:
     away = off[~np.isnan(off)].tolist()
     at_alarm = off[place - begin : place - begin + 1] if place >= begin else off[:0]
     return {
-        **{f.name: getattr(attack, f.name) for f in fields(attack) if f.name != "event"},
+        **attack._asdict(),
         "knows": list(attack.knows),
         "failed": plant.failed,
         "alarm_k": alarm,

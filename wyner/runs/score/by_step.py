@@ -1,4 +1,4 @@
-"""Small numbers by session and step, in four bytes each: a run has millions of steps."""
+"""Small numbers by session and step, in two bytes each: a run has millions of steps."""
 
 from array import array
 from collections.abc import Iterable, Iterator, MutableMapping
@@ -9,11 +9,15 @@ Step = tuple[str, int]
 TOGETHER: Final = 1024
 """Steps whose numbers stand together."""
 
-_NONE: Final = -(2**31)
+LARGEST: Final = 2**15 - 1
+
+_NONE: Final = -(2**15)
 
 
 class BySteps(MutableMapping[Step, int]):
-    """A mapping from (session, step) to a number of 31 bits, as a dict has it but for its order.
+    """A mapping from (session, step) to a number, as a dict has it but for its order.
+
+    A number above :data:`LARGEST`, which no symbol is, is taken for that.
 
     Parameters
     ----------
@@ -44,10 +48,10 @@ class BySteps(MutableMapping[Step, int]):
     def __setitem__(self, at: Step, value: int) -> None:
         where, place = (at[0], at[1] // TOGETHER), at[1] % TOGETHER
         if where not in self._rows:
-            self._rows[where] = array("i", [_NONE]) * TOGETHER
+            self._rows[where] = array("h", [_NONE]) * TOGETHER
         row = self._rows[where]
         self._count += (row[place] == _NONE) - (value == _NONE)
-        row[place] = value
+        row[place] = min(value, LARGEST)
 
     def __delitem__(self, at: Step) -> None:
         if at not in self:

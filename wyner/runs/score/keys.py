@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from protocol.link.key_events import Appearances
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -19,7 +20,7 @@ from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.blocks import Blocks, TracedBlock, ended
-from wyner.runs.lines import INTERRUPTED, MISSED, AppearancesLine
+from wyner.runs.lines import INTERRUPTED, MISSED
 from wyner.runs.run import Run
 from wyner.runs.trace import AT_ONCE, Places, Trace
 
@@ -63,7 +64,7 @@ class _Leaving:
         times = 1
         for told in () if trace is None else trace.told("appearances", "session"):
             line, k = told.line, -1
-            if isinstance(line, AppearancesLine):
+            if isinstance(line, Appearances):
                 times, k = line.times, line.k
             self._at.setdefault(getattr(line, "session", None), []).append((k, times))
 

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
-from protocol.relabelling import Known, Pairs, known, pairs_of
+from protocol.relabelling import KnownSymbols, Pairs, known, pairs_of
 from protocol.text import printable
 from runtime.recording import TraceError
 from tap_service.capture.channel import View
@@ -131,7 +131,7 @@ class EavesdropperScore:
         key symbol, as she names it. None of one who failed or did not guess.
     keys_reviewed : Proportion
         The same with her second thoughts, where she has any.
-    known : Known
+    known : KnownSymbols
         What she knows of these symbols, up to one relabelling for all steps.
     bits : Proportion
         Message symbols she got right, step by step; one that she missed counts as a blind guess.
@@ -197,7 +197,7 @@ class EavesdropperScore:
         return "" if self.stated_left is not None else SILENT
 
     @property
-    def known(self) -> Known:
+    def known(self) -> KnownSymbols:
         """What she knows of the key symbols, with second thoughts where she has any."""
         return known([self.pairs], self.size)
 
