@@ -2,8 +2,8 @@
 
 Facet by facet, elementwise, in a fixed order; one state is a row of many, so both paths agree to
 the last bit for a single input. With two inputs each program goes to DAQP (a dual active set, exact
-up to rounding), on the rows that some admissible input can violate, tightened. No answer leaves
-unchecked.
+up to rounding), on the rows that some admissible input can violate, tightened; OSQP, at tolerances
+of 1e-9 and polished, is asked when DAQP's answer fails the check. No answer leaves unchecked.
 """
 
 from collections.abc import Sequence
@@ -102,6 +102,33 @@ def solve_daqp(P: Array, f: Array, G: Array, b: Array) -> Array | None:
     return np.array(u) if flag == 1 else None
 
 
+def solve_osqp(P: Array, f: Array, G: Array, b: Array) -> Array | None:
+    """The same by OSQP, set up afresh, at 1e-9 and polished."""
+    import osqp
+    from scipy.sparse import csc_matrix
+
+    free = np.asarray(np.linalg.solve(P, -f), dtype=float)
+    if (G @ free <= b).all():
+        return free  # with no active row OSQP's polishing prints to standard output
+    solver = osqp.OSQP()
+    solver.setup(
+        P=csc_matrix(np.triu(P)),
+        q=f,
+        A=csc_matrix(G),
+        l=np.full(len(b), -np.inf),
+        u=b,
+        eps_abs=1e-9,
+        eps_rel=1e-9,
+        max_iter=20000,
+        polishing=True,
+        verbose=False,
+    )
+    result = solver.solve(raise_error=False)
+    if result.info.status != "solved":
+        return None
+    return np.array(result.x)
+
+
 class General:
     """Index and candidates by scanning facets."""
 
@@ -120,7 +147,7 @@ class General:
         self.inputs = Polytope(U.H / U.h[:, None], np.ones(U.facets))
         self.costs = [Quadratic.of(self.A, self.B, cost) for cost in costs]
         corner = set_corners(inputs)
-        # The solver sees inputs in this unit, and costs divided by their largest weight.
+        # The solvers see inputs in this unit, and costs divided by their largest weight.
         self.unit = np.abs(corner).max(axis=0)
         self.solved = [q.scaled(self.unit) for q in self.costs]
         self.free = [np.array(-np.linalg.solve(q.P, q.F), dtype=float) for q in self.costs]
@@ -257,12 +284,14 @@ class General:
         G = np.concatenate([program.G[near], self.inputs.H]) * self.unit
         b = np.concatenate([room[near], self.inputs.h * (1 - SOLVER_MARGIN)])
         f = cost.F @ x
-        v = solve_daqp(cost.P, f, G, b)
-        if v is not None:
+        for solver in (solve_daqp, solve_osqp):
+            v = solver(cost.P, f, G, b)
+            if v is None:
+                continue
             u: Array = v * self.unit
             if self.holds(program, room, u):
                 return u
-        raise ValueError("the solver has no answer that satisfies the constraints")
+        raise ValueError("no solver's answer satisfies the constraints")
 
     def holds(self, program: Program, room: Array, u: Array) -> bool:
         """Whether u is in U and steers into the target, which is wider than the program's."""

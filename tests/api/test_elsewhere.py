@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import os, signal, sys
 
-ABSENT = {"zenoh", "daqp", "fcntl", "resource", "termios", "tty", "pwd", "grp"}
+ABSENT = {"zenoh", "osqp", "daqp", "fcntl", "resource", "termios", "tty", "pwd", "grp"}
 
 
 class Refuse:

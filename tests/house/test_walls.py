@@ -205,6 +205,7 @@ def test_nothing_runs_in_a_circle() -> None:
             {"wyner.drawing", "wyner.cli.drawing", "wyner.cli.design", "wyner.api"}
             | {"studies.figures", "tools"},
         ),
+        ("osqp", {"controller_service", "benchmarks"}),
         ("daqp", {"controller_service", "benchmarks"}),
     ],
 )
@@ -216,7 +217,7 @@ def test_a_library_has_its_place(library: str, allowed: set[str]) -> None:
 
 
 def test_starting_the_command_loads_nothing_heavy() -> None:
-    heavy = {"zenoh", "numpy", "scipy", "rich", "matplotlib", "daqp"}
+    heavy = {"zenoh", "numpy", "scipy", "rich", "matplotlib", "osqp", "daqp"}
     assert loaded_by("wyner.cli.main").isdisjoint(heavy | {"pydantic"})
     commands = [name_of(path) for path in (ROOT / "wyner" / "cli").glob("[a-z]*.py")]
     assert len(commands) > 8

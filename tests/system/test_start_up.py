@@ -12,7 +12,7 @@ from controller_service.laws.registry import cached_design
 from protocol.scenario import Scenario
 from runtime.addresses import free_endpoints
 
-HEAVY = {"scipy", "daqp", "rich", "matplotlib", "IPython", "asyncio"}
+HEAVY = {"scipy", "osqp", "daqp", "rich", "matplotlib", "IPython", "asyncio"}
 
 
 @pytest.mark.slow
