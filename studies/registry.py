@@ -32,7 +32,7 @@ Values = Sequence[Any] | Mapping[str, Any]
 Measure = Callable[[Any], Iterable[Values]]
 
 MODULES: Final = (
-    "attacks.study", "attacks.tables", "corners", "eavesdroppers", "keys",
+    "attacks.study", "attacks.tables", "capacity", "corners", "eavesdroppers", "keys",
     "loops", "missed_steps", "network", "noise", "other_sets", "outputs", "readings",
     "schemes", "secrecy.kinds", "secrecy.study", "secrecy.tables", "settled",
     "shape", "signalling", "stochastic", "sweeps", "yardstick",

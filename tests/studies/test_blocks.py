@@ -5,15 +5,7 @@ from fractions import Fraction
 
 import pytest
 
-
-def chained_keys(alpha: float, steps: int) -> list[int]:
-    """K_1, ..., K_T: K_T = ceil(alpha K_(T-1)) - 1 from K_0 = 1, in whole numbers."""
-    exact = Fraction(alpha)
-    out, keys = [], 1
-    for _ in range(steps):
-        keys = max(1, math.ceil(exact * keys) - 1)
-        out.append(keys)
-    return out
+from studies.capacity import chained_keys
 
 
 def test_the_chained_code_s_sizes() -> None:
