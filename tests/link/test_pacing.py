@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.link.pacing import Pacing, next_turn
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn
 
 
 def running(now_s: float = 0.0, step_s: float | None = 1.0) -> Pacing:
@@ -58,3 +58,12 @@ def test_a_repeat_that_would_come_as_late_as_half_an_interval_before_the_tick_is
         pacing = running()
         assert pacing.measurement_due(now)
         assert pacing.due_at(running=True, measuring=True) == following
+
+
+def test_repeats_in_lock_step_come_at_an_interval_of_their_own() -> None:
+    pacing = Pacing(None, 4, 2.0)
+    for i in range(3):
+        now = pacing.due_at(running=True, measuring=True)
+        assert now == pytest.approx(2.0 + i * LOCKSTEP_REPEAT_S)
+        assert pacing.measurement_due(now)
+    assert pacing.deadline == 2.0
