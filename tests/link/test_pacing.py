@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from plant_service.watchdog import FAREWELL_S, Farewell
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn
 
 
@@ -67,3 +68,10 @@ def test_repeats_in_lock_step_come_at_an_interval_of_their_own() -> None:
         assert now == pytest.approx(2.0 + i * LOCKSTEP_REPEAT_S)
         assert pacing.measurement_due(now)
     assert pacing.deadline == 2.0
+
+
+def test_a_farewell_also_waits_for_the_network_s_round_trip() -> None:
+    farewell = Farewell(round_trip_s=3.0)
+    assert not farewell.over(10.0)
+    assert not farewell.over(10.0 + FAREWELL_S + 2.9)
+    assert farewell.over(10.0 + FAREWELL_S + 3.0)
