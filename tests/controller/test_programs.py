@@ -10,7 +10,7 @@ from scipy.sparse import csc_matrix
 
 import controller_service.laws.programs as programs_module
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import ProgramError
+from controller_service.laws.errors import ProgramError
 from controller_service.laws.programs import General, Quadratic, solve_daqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, synthesise
