@@ -70,7 +70,7 @@ def designed(scenario: "Scenario") -> "CandidateLaw":
     UsageError
         When there is no design, or no law on it.
     """
-    from controller_service.laws.online import ProgramError
+    from controller_service.laws.errors import ProgramError
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 
 from controller_service.core import ControllerCore
-from controller_service.laws.online import OnlineLaw
+from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.channel import channel_of
 from protocol.link.endpoint import Endpoint
@@ -44,7 +44,7 @@ class ControllerConfig(EndConfig):
     """
 
     _: KW_ONLY
-    law: OnlineLaw
+    law: CandidateLaw
     message: bytes | None = None
     clear_alarm: bool = False
 
@@ -140,7 +140,7 @@ class ControllerService(EndService[ControllerCore]):
         )
 
 
-def open_in_fleet(law_of: Callable[[Scenario], OnlineLaw]) -> Open:
+def open_in_fleet(law_of: Callable[[Scenario], CandidateLaw]) -> Open:
     """What opens the controller's end of a loop, under the law of its scenario."""
 
     def open_end(told: Common, loop: FleetLoop, _number: int) -> tuple[Endpoint, Files]:

@@ -3,7 +3,7 @@
 import time
 from typing import Any, Final
 
-from controller_service.laws.online import OnlineLaw
+from controller_service.laws.base import CandidateLaw
 from controller_service.state import ControllerState
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm
@@ -23,13 +23,13 @@ class ControllerTelemetry(Telemetry):
 
     Parameters
     ----------
-    law : OnlineLaw, optional
+    law : CandidateLaw, optional
         None: no status is published.
     status_s : float
         Seconds between statuses.
     """
 
-    def __init__(self, law: OnlineLaw | None = None, status_s: float = STATUS_S) -> None:
+    def __init__(self, law: CandidateLaw | None = None, status_s: float = STATUS_S) -> None:
         super().__init__(None if law is None else status_s)
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller_service.laws.online import OneState, ProgramError, Solver
+from controller_service.laws.errors import OutsideError, ProgramError
 from controller_service.laws.planar import Planar
 from controller_service.laws.programs import General, Quadratic
 from controller_service.sets.design import Design, Progress, input_interval, synthesise
@@ -80,18 +80,25 @@ class CandidateLaw(Protocol):
         """K, shape (m, n), where every candidate of index i is K x; None elsewhere."""
 
 
-class Programs(Solver, Protocol):
-    """What a law asks of a solver: index and one input for each cost."""
+class Programs(Protocol):
+    """What a law asks of a solver: index and one input for each cost, of one state or of many."""
+
+    def index(self, x: Sequence[float]) -> int: ...  # noqa: D102
+
+    def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]: ...  # noqa: D102
+
+    def excess(self, x: Sequence[float]) -> float: ...  # noqa: D102
 
     def indices(self, X: Array) -> Indices: ...  # noqa: D102
 
     def candidates_many(self, X: Array, indices: Indices) -> Array: ...  # noqa: D102
 
 
-class ProgramLaw(OneState):
+class ProgramLaw:
     """Candidates phi_0(x), phi_1(x), ... that minimise one cost each, at every index.
 
     At index 0 the target is T_0 ~ D_c: T_0 is robust invariant, so the programs are feasible.
+    ``inner`` has the rows of a K where every candidate at index 0 is K x, ``copies`` times.
 
     Parameters
     ----------
@@ -105,6 +112,9 @@ class ProgramLaw(OneState):
     ProgramError
         When a cost has no unique minimiser.
     """
+
+    inner: Sequence[Sequence[float]] = ()
+    copies = 0
 
     def __init__(self, scenario: Scenario, design: Design, inputs: ConvexSet | None = None) -> None:
         self.design = design
@@ -128,6 +138,34 @@ class ProgramLaw(OneState):
             With one line, when there are none.
         """
         return synthesise(scenario, progress, advised_start)
+
+    def index(self, x: Sequence[float]) -> int:
+        """See :meth:`CandidateLaw.index`."""
+        i = self.programs.index(x)
+        if i > self._N:
+            raise self._outside(x)
+        return i
+
+    def candidates(self, x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+        """See :meth:`CandidateLaw.candidates`."""
+        i = self.index(x)
+        try:
+            return self.answers(x, i)
+        except ValueError as error:
+            raise ProgramError(f"at x = {list(x)}, index {i}: {error}") from None
+
+    def answers(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
+        """The candidates at x of index i; ValueError when no input is left."""
+        if i > 0 or not self.inner:
+            return self.programs.candidates(x, i)
+        u = []
+        for row in self.inner:
+            # From the left, product by product: to the last bit what many states get.
+            total = row[0] * float(x[0])
+            for k, v in zip(row[1:], x[1:], strict=True):
+                total = total + k * float(v)
+            u.append(total)
+        return (tuple(u),) * self.copies
 
     def indices(self, X: ArrayLike) -> Indices:
         """See :meth:`CandidateLaw.indices`."""
@@ -154,6 +192,14 @@ class ProgramLaw(OneState):
     def answers_many(self, X: Array, indices: Indices) -> Array:
         """The candidates of each row, shape (R, M, m); ValueError when no input is left."""
         return self.programs.candidates_many(X, indices)
+
+    def _outside(self, x: Sequence[float]) -> OutsideError:
+        # The look-up's rounding and this one's differ: at an edge the excess may come out negative.
+        excess = max(0.0, self.programs.excess(x))
+        return OutsideError(
+            f"the state {[float(v) for v in x]} is outside T_{self._N}, the largest set: it lies "
+            f"{excess:.6g} beyond a facet"
+        )
 
 
 def _programs(design: Design, inputs: ConvexSet, costs: Sequence[Cost]) -> Programs:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError, ProgramError
+from controller_service.laws.errors import OutsideError, ProgramError
 from controller_service.sets.design import Design
 from protocol.agreement import INSIDE
 from protocol.arrays import Array, Indices

@@ -10,13 +10,14 @@ of the target bounds u from above and one from below; they depend on the line's 
 are found in two more sorted lists.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller_service.laws.online import Lookup, Table
 from controller_service.laws.programs import Quadratic
 from controller_service.sets.design import Design
 from controller_service.tolerances import CHAIN_PARALLEL
@@ -140,11 +141,23 @@ class Chain:
         self.c1, self.c2 = np.ascontiguousarray((H @ design.A)[order].T) / G
 
 
+class Table(NamedTuple):
+    """Keys and three columns beside them, as arrays whose items are plain floats.
+
+    Lists of floats and tuples took 25 MiB for 250 sets; the arrays' own memory is read instead.
+    """
+
+    keys: "memoryview[float]"
+    first: "memoryview[float]"
+    second: "memoryview[float]"
+    third: "memoryview[float]"
+
+
 def _table(*columns: Array) -> Table:
     return Table(*(np.ascontiguousarray(column).data.cast("B").cast("d") for column in columns))
 
 
-class Planar(Lookup):
+class Planar:
     """Index and candidates of a planar plant with one input."""
 
     def __init__(
@@ -187,6 +200,63 @@ class Planar(Lookup):
             zip(self.line1.tolist(), self.line2.tolist(), self.shift.tolist(), strict=True)
         )
         self._gains = [(float(k[0]), float(k[1])) for k in self.gains]
+
+    def index(self, x: Sequence[float]) -> int:
+        """i(k), or N + 1 outside every set: T_0 first, where a closed loop nearly always is."""
+        x1, x2 = float(x[0]), float(x[1])
+        r = abs(x1) + abs(x2)
+        q = x2 / r if r > 0.0 else x2
+        p = 2.0 - q if x1 < 0.0 else (4.0 + q if x2 < 0.0 else q)
+        keys, a1, a2, b = self._facets
+        at = bisect_right(keys, p, 0, self._first)
+        if a1[at] * x1 + a2[at] * x2 <= b[at]:
+            return 0
+        low, high = 1, self.N + 1
+        while low < high:
+            i = (low + high) >> 1
+            at = bisect_right(keys, 4.0 * i + p) + i
+            if a1[at] * x1 + a2[at] * x2 <= b[at]:
+                high = i
+            else:
+                low = i + 1
+        return low
+
+    def excess(self, x: Sequence[float]) -> float:
+        """How far x is outside the largest set, in the unit of its h; zero or less inside."""
+        _, a1, a2, b = self._facets
+        x1, x2 = float(x[0]), float(x[1])
+        return max(a1[at] * x1 + a2[at] * x2 - b[at] for at in range(len(b) - self._last, len(b)))
+
+    def interval(self, x1: float, x2: float, j: int) -> tuple[float, float]:
+        """Inputs in U that steer x into the tightened target j; empty when low > high."""
+        l1, l2, shift = self._lines[j]
+        key = (l1 * x1 + l2 * x2) + shift
+        keys, q, c1, c2 = self._upper
+        at = bisect_right(keys, key) + j
+        high = q[at] - (c1[at] * x1 + c2[at] * x2)
+        keys, q, c1, c2 = self._lower
+        at = bisect_right(keys, key) + j
+        low = q[at] - (c1[at] * x1 + c2[at] * x2)
+        return (
+            low if low > self.u_min else self.u_min,
+            high if high < self.u_max else self.u_max,
+        )
+
+    def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
+        """One input for each cost at index i; ValueError when the interval is empty."""
+        x1, x2 = float(x[0]), float(x[1])
+        low, high = self.interval(x1, x2, i - 1 if i > 0 else 0)
+        if not low <= high:
+            raise ValueError(f"no input in [{low!r}, {high!r}]")
+        out = []
+        for k1, k2 in self._gains:
+            u = k1 * x1 + k2 * x2
+            if u < low:
+                u = low
+            elif u > high:
+                u = high
+            out.append((u,))
+        return tuple(out)
 
     def indices(self, X: Array) -> Indices:
         """i(k) of each row, N + 1 outside every set."""

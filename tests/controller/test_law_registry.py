@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controller_service.laws.base import ProgramLaw
-from controller_service.laws.online import ProgramError
+from controller_service.laws.errors import ProgramError
 from controller_service.laws.planar import Planar
 from controller_service.laws.registry import LAWS, cached_design, make_law
 from controller_service.sets.design import Design, Progress, synthesise

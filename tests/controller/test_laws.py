@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError, ProgramError
+from controller_service.laws.errors import OutsideError, ProgramError
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, synthesise
 from protocol.convex import Polytope, corners

@@ -8,7 +8,7 @@ import pytest
 
 import controller_service.laws.programs as programs_module
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import ProgramError
+from controller_service.laws.errors import ProgramError
 from controller_service.laws.programs import General, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, synthesise

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError
+from controller_service.laws.errors import OutsideError
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.progress import shown_progress
 from controller_service.sets.dead_link import dead_link_budget

@@ -292,7 +292,7 @@ def _settled_share(scenario: "Scenario") -> float:
 
     Also where there is no design.
     """
-    from controller_service.laws.online import ProgramError
+    from controller_service.laws.errors import ProgramError
     from controller_service.laws.registry import make_law, synthesise
     from controller_service.sets.design import SynthesisError
     from wyner.simulate.engine import SimulationError, simulate_runs

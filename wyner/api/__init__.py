@@ -13,7 +13,7 @@ Wrong input raises a ValueError (a `WynerError`) with a line for each field, its
 expected.
 """
 
-from controller_service.laws.online import OutsideError, ProgramError
+from controller_service.laws.errors import OutsideError, ProgramError
 from controller_service.sets.design import SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
 from protocol.errors import WynerError

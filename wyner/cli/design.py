@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         return _write_knowledge(args.scenario, args.knowledge)
     if args.plot is not None:
         drawable(args.plot or "sets.png")
-    from controller_service.laws.online import ProgramError
+    from controller_service.laws.errors import ProgramError
     from controller_service.sets.design import SynthesisError
     from runtime.scenario_file import scenario_of
     from runtime.shipped import scenario_file_of

@@ -118,7 +118,7 @@ def _fit_recording(args: argparse.Namespace) -> "FromRecording":
 
 def _fit_plant(args: argparse.Namespace) -> "FromPlant":
     from controller_service.laws.base import CandidateLaw
-    from controller_service.laws.online import ProgramError
+    from controller_service.laws.errors import ProgramError
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError

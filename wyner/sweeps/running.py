@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import ProgramError
+from controller_service.laws.errors import ProgramError
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import SynthesisError
 from protocol.scenario import Scenario

@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from controller_service.laws.online import OutsideError, ProgramError
+from controller_service.laws.errors import OutsideError, ProgramError
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
 from plant_service.plant import (
