@@ -22,7 +22,7 @@ from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import mean_cost, truth_of
-from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
+from wyner.runs.score.report import HEADINGS, NOTE, Report, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
     RunScore,
@@ -79,6 +79,8 @@ def page(e: Evidence) -> str:
     results = judge(e)  # first: it takes most room, and gives it back
     kinds = [r.result for r in results]
     attack = attacked(e.run)
+    scored = _scored(e)
+    e.run.forget("controller")  # what follows needs the room for matplotlib
     told: dict[str, Any] = {
         "scenario": e.scenario,
         "size": e.rules.size,
@@ -92,17 +94,14 @@ def page(e: Evidence) -> str:
         "manifest": _manifest(e),
         "figures": {},
     }
-    if e.plant is None:
-        told["unscored"] = "no plant trace"
-    else:
+    if e.plant is not None:
         told |= _loop(e, e.plant, [] if attack is None else _flags(attack, e))
-        try:
-            scored = _secrecy(e.run)
-        except ScoreError as error:
-            told["unscored"] = str(error)
-        else:
-            told["figures"] |= scored.pop("figures")
-            told |= scored
+    if isinstance(scored, str):
+        told["unscored"] = scored
+    else:
+        secrecy = _secrecy(e.run, scored)
+        told["figures"] |= secrecy.pop("figures")
+        told |= secrecy
     templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -184,20 +183,32 @@ def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str
     }
 
 
-def _secrecy(run: Run) -> dict[str, Any]:
-    """What the eavesdroppers made of the run, beside the truth.
+class _Scored(NamedTuple):
+    """What the eavesdroppers of a run said, beside the truth."""
 
-    Raises
-    ------
-    ScoreError
-        When that is not known.
-    """
+    truth: Truth
+    said: list[TapOutput]
+    found: Report
+
+
+def _scored(e: Evidence) -> _Scored | str:
+    """The scores of a run, or why there are none."""
+    if e.plant is None:
+        return "no plant trace"
+    try:
+        truth, said = read_truth(e.run), read_said(e.run)
+        scores = tuple(score(truth, one) for one in said)
+        return _Scored(truth, said, report_of([RunScore(e.run.name, truth, scores)]))
+    except ScoreError as error:
+        return str(error)
+
+
+def _secrecy(run: Run, scored: _Scored) -> dict[str, Any]:
+    """What the eavesdroppers made of the run, beside the truth."""
     from wyner.drawing.secrecy import draw_report
     from wyner.drawing.style import svg_of
 
-    truth, said = read_truth(run), read_said(run)
-    scores = tuple(score(truth, one) for one in said)
-    found = report_of([RunScore(run.name, truth, scores)])
+    truth, said, found = scored
     names = ", ".join(tap.name for tap in found.taps)
     figures = {
         "secrecy": Figure(
