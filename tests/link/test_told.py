@@ -110,9 +110,11 @@ class Story(RecordedPair):
                 self.seen.append(f"{side}: {level} {subject}".rstrip())
                 whole += [level, subject]
             case Tell(event):
-                whole += lines(event)
-                said = lines(event)[isinstance(event, CountedTransition) :]
-                self.seen += [f"{side}: {json.dumps(plain(line))}" for line in said]
+                told = lines(event)
+                whole += told
+                if isinstance(event, CountedTransition):
+                    told = told[1:]  # the digest alone has the transition itself
+                self.seen += [f"{side}: {json.dumps(plain(line))}" for line in told]
             case Publish(message):
                 whole += [message.topic, message.model_dump()]
                 self._said(side, message)
