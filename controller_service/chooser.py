@@ -9,17 +9,16 @@ from collections.abc import Callable
 from math import inf
 from typing import Final, Literal, NamedTuple
 
-from controller_service.alarms import Tested, alarm_of, first, tested
+from controller_service.alarms import Judged, alarm_of, first, tested
 from controller_service.state import ControllerState
 from controller_service.telemetry import ControllerTelemetry
-from protocol.agreement import NO_SYMBOL
 from protocol.link.effects import Effects, Extract, Notice, Publish, Tell
 from protocol.link.key_events import block_notices
 from protocol.link.records import LinkRecord, OutgoingRecord
-from protocol.link.session import Counted, CountedTransition, reports
+from protocol.link.session import CountedTransition, reports
 from protocol.link.step import IDLE, Answered
 from protocol.messages import Measurement, Offer, SendCommand
-from protocol.secret.stream import NOWHERE, Position
+from protocol.secret.stream import NOWHERE
 from protocol.vectors import Vector
 
 LARGEST_STATE: Final = 1e150
@@ -53,8 +52,8 @@ class Reported(NamedTuple):
 
     link: LinkRecord
     frame: OutgoingRecord
-    test: Tested
-    counted: Counted | None = None
+    test: Judged
+    counted: CountedTransition | None = None
 
 
 class Chooser:
@@ -124,17 +123,38 @@ class Chooser:
 
     def answer(self, measurement: Measurement) -> Effects:
         """Judge what the next measurement reports, decide, offer (rules 2 and 3); then count."""
-        state = self.state
+        state, rules = self.state, self.state.rules
         reported = self.report(measurement)
         halted = reported.test.record.halted
         if halted and state.alarms.halted:
             return
-        offer = HALTED if halted else self._offer(measurement, reported)
-        if isinstance(offer, str):  # what the measurement reports counts all the same
+        proposed = HALTED if halted else self._proposed(measurement, reported.link)
+        if isinstance(proposed, str):  # what the measurement reports counts all the same
             self.news.enter("alarmed" if halted else "outside")
-            yield self.news.refusal(offer)
+            yield self.news.refusal(proposed)
             yield from self.count(measurement, None, reported)
             return
+        candidates, predictions = proposed
+        block, tag = state.keys.announcement()
+        position = NOWHERE
+        if rules.digits and not state.keys.record.refuted:  # the plant holds what is announced
+            position = state.keys.stream.name(rules.digits, block)
+        offer = Offer(
+            session=measurement.session,
+            k=measurement.k,
+            candidates=candidates,
+            predictions=predictions,
+            cipher=reported.frame.cipher,
+            copy_number=state.keys.copy(),
+            nonce=state.keys.nonce(),
+            heard=measurement.copy_number,
+            block=block,
+            tag=tag,
+            stream_block=position.block if rules.digits else None,
+            stream_at=position.at if rules.digits else None,
+        )
+        if rules.scheme.from_stream:
+            offer = state.frame.sealed(offer, reported.frame, state.link, state.digits(offer))
         state.step = Answered(measurement, offer)
         self.news.enter("running", "")
         yield state.save()
@@ -152,61 +172,30 @@ class Chooser:
         if link.k < 0:
             return Reported(link, frame, first(rules, state.alarms))
         if offer is None or not reports(link, offer, measurement):
-            return Reported(link, frame, Tested(state.alarms))
-        digits: tuple[int, ...] = ()
-        if measurement.keyed:  # the plant says that they served
-            digits = state.keys.stream.at(offer.position, rules.digits) or ()
+            return Reported(link, frame, Judged(state.alarms))
+        # The plant says whether they served.
+        digits = state.digits(offer) if measurement.keyed else ()
         counted = rules.count(link, offer, measurement.x_after, digits)
         if digits or not rules.scheme.from_stream:  # else its symbol was not carried: once more
-            after = counted.link
-            frame = state.frame.following(after.state, after.transitions, decided)
-        return Reported(counted.link, frame, tested(rules, state.alarms, offer, counted), counted)
+            frame = state.frame.following(counted.after, decided)
+        return Reported(counted.after, frame, tested(rules, state.alarms, counted), counted)
 
-    def _offer(self, measurement: Measurement, reported: Reported) -> Offer | str:
-        """The answer to a measurement, or why there is none."""
-        state, count = self.state, self.state.rules.digits
+    def _proposed(
+        self, measurement: Measurement, link: LinkRecord
+    ) -> tuple[tuple[Vector, ...], tuple[Vector, ...]] | str:
+        """The law's candidates and, where f_c is not linear, its predictions; or why not."""
+        rules, x = self.state.rules, measurement.x
         try:
-            missed = measurement.k - measurement.applied_k - 1
-            box = self.state.rules.box(reported.link.estimate, missed, measurement.x)
-            x = measurement.x if box is None else box.centre
+            box = rules.box(link.estimate, measurement.k - measurement.applied_k - 1, x)
+            if box is not None:
+                x = box.centre
             candidates = self._propose(x)
-            predictions = self._predictions(x, candidates)
+            if not rules.predicted:
+                return candidates, ()
+            assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
+            return candidates, tuple([self._predict(x, u) for u in candidates])
         except LookupError as error:
             return str(error)
-        block, tag = state.keys.announcement()
-        position = self._next_position(block)
-        digits = state.keys.stream.at(position, count) if count else None
-        return Offer(
-            session=measurement.session,
-            k=measurement.k,
-            candidates=candidates,
-            predictions=predictions,
-            cipher=state.frame.cipher(reported.frame, state.link.transitions, digits),
-            copy_number=state.keys.copy(),
-            nonce=state.keys.nonce(),
-            heard=measurement.copy_number,
-            block=block,
-            tag=tag,
-            stream_block=position.block if count else None,
-            stream_at=position.at if count else None,
-        )
-
-    def _predictions(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
-        """f_c(x, u_i) where f_c is not linear; raises LookupError where it has no answer."""
-        if not self.state.rules.predicted:
-            return ()
-        assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
-        return tuple([self._predict(x, u) for u in candidates])
-
-    def _next_position(self, announced: int) -> Position:
-        """Where the next offer's digits begin.
-
-        They are of blocks that this end has announced: the plant has confirmed those, or does by
-        this offer.
-        """
-        if not self.state.rules.digits or self.state.keys.record.refuted:
-            return NOWHERE
-        return self.state.keys.stream.name(self.state.rules.digits, announced)
 
     # --- and then: count --------------------------------------------------------------------------
 
@@ -219,25 +208,19 @@ class Chooser:
         transition = delivered = alarm = None
         if counted is not None:
             assert applied is not None
-            sent = state.frame.record
-            if frame.message != sent.message:
-                delivered = self._queued(sent.message)
-            contribution = state.keys.count(before, applied, measurement.applied_copy)
-            carried = counted.carry.pad != NO_SYMBOL
-            transition = CountedTransition.of(
-                self.state.rules.scheme,
-                before,
-                applied,
-                measurement.x_after,
-                counted,
-                sent.message_symbol if carried else NO_SYMBOL,
-                contribution,
+            number = state.frame.record.message
+            if frame.message != number:
+                payload = state.messages.payload(number)
+                assert payload is not None
+                delivered = SendCommand(id=state.messages.identifier(number), payload=payload)
+            transition = counted._replace(
+                counts=state.keys.count(before, applied, measurement.applied_copy),
                 expected=test.expected,
                 delivered=delivered,
             )
             self.news.counted(transition)
         if test.reason:
-            alarm = alarm_of(self.state.rules, measurement, transition, applied, test.reason)
+            alarm = alarm_of(state.rules, measurement, transition, test.reason)
             self.news.alarmed(alarm)
         nonce = before.nonce
         if offer is not None:
@@ -264,10 +247,3 @@ class Chooser:
             yield Notice(alarm.sentence(), "error", "alarms")
         if ended:
             yield from block_notices(state.keys, ended)
-
-    def _queued(self, number: int) -> SendCommand:
-        """Message ``number``, as it was handed over."""
-        messages = self.state.messages
-        payload = messages.payload(number)
-        assert payload is not None
-        return SendCommand(id=messages.identifier(number), payload=payload)

@@ -9,7 +9,7 @@ from math import inf
 from typing import ClassVar, Literal
 
 from plant_service.adapters.base import PlantError
-from plant_service.plant import Coin, Plant
+from plant_service.plant import Plant
 from plant_service.state import PlantState
 from plant_service.status import PlantTelemetry
 from plant_service.stepper import Stepper
@@ -42,6 +42,7 @@ from protocol.messages import (
     PlantStatus,
 )
 from protocol.secret.nonces import NonceSource
+from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
@@ -55,7 +56,8 @@ class PlantCore(Endpoint):
     rules : Rules
     plant : Plant
         What is stepped.
-    coin : Coin
+    coin : SymbolSource
+        b_r; draw j belongs to transition j.
     fallback : callable
         (x, u in force) to the input of a step without an offer.
     pacing : Pacing
@@ -103,7 +105,7 @@ class PlantCore(Endpoint):
         self,
         rules: Rules,
         plant: Plant,
-        coin: Coin,
+        coin: SymbolSource,
         fallback: Callable[[Vector, Vector], Vector],
         pacing: Pacing,
         new_id: Callable[[], str],
@@ -170,7 +172,7 @@ class PlantCore(Endpoint):
         yield from map(Extract, state.keys.tasks())
         if isinstance(state.step, Read):
             offer, _, report = state.step
-            digits = self.stepper.digits(offer) if report.keyed else ()
+            digits = state.digits(offer) if report.keyed else ()
             yield from self._counted(self.stepper.count(state.step, digits))
         if self._back is not None:
             yield Tell(self.stepper.interrupted(self._back))
@@ -273,7 +275,7 @@ class PlantCore(Endpoint):
         if over == "missed":
             yield from self.stepper.miss()
         elif over == "ended" and isinstance(state.step, Begun):
-            digits = self.stepper.digits(state.step.offer)
+            digits = state.digits(state.step.offer)
             yield from self._counted(self.stepper.read(state.step, digits))
         if session.accepted and pacing.measurement_due(now):
             yield Publish(self.stepper.measurement())

@@ -9,7 +9,6 @@ from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
 from plant_service.core import PlantCore
 from plant_service.plant import (
-    Coin,
     Disturbances,
     LinearModel,
     OperatedPlant,
@@ -141,7 +140,7 @@ def open_core(
         return PlantCore(
             rules_of(scenario),
             plant,
-            Coin(coin, scenario.secrecy.candidates),
+            coin,
             Fallback.of(scenario).input,
             pacing,
             new_id,

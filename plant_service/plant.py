@@ -14,10 +14,10 @@ from plant_service.disturbance import disturbance
 from protocol.agreement import predict
 from protocol.link.filters import Filter, read_through, sensors_of
 from protocol.link.records import PlantRecord
-from protocol.link.session import Truth
+from protocol.link.session import TrueStep
 from protocol.messages import FIELD, Measurement
 from protocol.scenario import Scenario
-from protocol.streams import Stream, SymbolSource
+from protocol.streams import Stream
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus, Overheard
@@ -35,16 +35,13 @@ class Plant(Protocol):
     device : bool
         The plant moves by itself. A step without an offer goes on under the input in force, and
         the fallback is applied for the step after it.
-    truth : Truth or None
+    truth : TrueStep or None
         What the step that ended last really came to, where the plant is attacked.
     """
 
     acts: bool
     device: bool
-    truth: Truth | None
-
-    def prepare(self, k: int) -> None:
-        """Draw ahead what step ``k``, the next one, needs; nobody waits for it now."""
+    truth: TrueStep | None
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         """Apply ``u`` at x(k)."""
@@ -59,34 +56,8 @@ class Plant(Protocol):
         """Close the plant. Returns in one line what its code raised, or nothing."""
 
 
-class Coin:
-    """b_r, the plant's choice of a candidate, drawn ahead where there is time.
-
-    Parameters
-    ----------
-    source : SymbolSource
-        Draw j belongs to transition j.
-    size : int
-        M.
-    """
-
-    def __init__(self, source: SymbolSource, size: int) -> None:
-        self._source = source
-        self._size = size
-        self._j = -1
-        self._drawn = 0
-
-    def prepare(self, j: int) -> None:
-        """Draw ahead for transition ``j``, the next one; nobody waits for it now."""
-        self._j, self._drawn = j, self._source.symbol(j, self._size)
-
-    def toss(self, j: int) -> int:
-        """b_r of transition ``j``."""
-        return self._drawn if j == self._j else self._source.symbol(j, self._size)
-
-
 class Disturbances:
-    """The simulated disturbance d(k), drawn ahead where there is time.
+    """The simulated disturbance d(k), drawn once a step.
 
     Parameters
     ----------
@@ -120,17 +91,13 @@ class LinearModel:
     """
 
     acts = device = False
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def __init__(self, scenario: Scenario, disturbances: Disturbances) -> None:
         self._A, self._B = scenario.plant_model
         self._disturbances = disturbances
         self._x: Vector = ()
         self._u: Vector = ()
-
-    def prepare(self, k: int) -> None:
-        """Draw d(k)."""
-        self._disturbances.at(k)
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Stand at ``x``, with ``u`` applied."""
@@ -172,7 +139,7 @@ class OperatedPlant:
         Where the simulated disturbance reaches the plant.
     """
 
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def __init__(self, operated: Operated, disturbances: Disturbances, enters: str) -> None:
         self.operated = operated
@@ -180,10 +147,6 @@ class OperatedPlant:
         self.acts = operated.device or not operated.resumable
         self._disturbances = disturbances
         self._enters = enters
-
-    def prepare(self, k: int) -> None:
-        """Draw d(k)."""
-        self._disturbances.at(k)
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         """Apply ``u`` now.
@@ -237,18 +200,14 @@ class FilteredPlant:
         self.x = x
         self._told = told
         self.device = plant.device
-        self.truth: Truth | None = None
+        self.truth: TrueStep | None = None
         self._u: Vector = ()
 
     def recall(self, k: int, y: Vector, u: Vector) -> None:
         """Step ``k - 1``, of the journal, led to the reading ``y`` under ``u``."""
         for one in self.filters:
             self.x = one.known(k, self.x, y)
-        self.truth = Truth(self.x, u)
-
-    def prepare(self, k: int) -> None:
-        """As the plant."""
-        self._plant.prepare(k)
+        self.truth = TrueStep(self.x, u)
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Apply what the filters make of ``u``, where the plant stands; ``x`` is its reading."""
@@ -263,7 +222,7 @@ class FilteredPlant:
         y, self.x = read_through(self.filters, k + 1, self.x)
         if self._told:
             fault = "".join(one.fault() for one in self.filters)
-            self.truth = Truth(self.x, self._u, fault)
+            self.truth = TrueStep(self.x, self._u, fault)
         return y
 
     def safe(self, why: str) -> None:

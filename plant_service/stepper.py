@@ -11,7 +11,7 @@ at the tick, and a model at once.
 from collections.abc import Callable
 from typing import Literal
 
-from plant_service.plant import Coin, Plant
+from plant_service.plant import Plant
 from plant_service.state import PlantState
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
@@ -20,10 +20,10 @@ from protocol.link.events import Interrupted, Missed
 from protocol.link.incoming import NOTHING_TAKEN
 from protocol.link.key_events import block_notices
 from protocol.link.records import AppliedRecord
-from protocol.link.session import CountedTransition, Truth
+from protocol.link.session import TrueStep
 from protocol.link.step import IDLE, Begun, Read
 from protocol.messages import Measurement, Offer
-from protocol.schemes.base import decrypt
+from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 
 
@@ -36,7 +36,8 @@ class Stepper:
     news : PlantTelemetry
     plant : Plant
         What is stepped.
-    coin : Coin
+    coin : SymbolSource
+        b_r; draw j belongs to transition j.
     fallback : callable
         (x, u in force) to the input of a step without an offer.
     """
@@ -46,7 +47,7 @@ class Stepper:
         state: PlantState,
         news: PlantTelemetry,
         plant: Plant,
-        coin: Coin,
+        coin: SymbolSource,
         fallback: Callable[[Vector, Vector], Vector],
     ) -> None:
         self.state, self.news = state, news
@@ -85,7 +86,8 @@ class Stepper:
 
     def offered(self, offer: Offer) -> Effects:
         """If the offer is for this step: toss the coin, and begin."""
-        state, k, now = self.state, self.state.link.k, self.state.now
+        state, rules = self.state, self.state.rules
+        k, now = state.link.k, state.now
         place = self.place(offer)
         if place != "foreign":
             state.session.answered_at = now
@@ -99,11 +101,11 @@ class Stepper:
             return
         self.news.answered(k, now)
         state.keys.compare(offer)  # first: it may confirm the block of the offer's digits
-        digits = self.digits(offer)
+        digits = state.digits(offer)
         if state.keys.on and not digits and state.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there
-        keyed = self.state.rules.keyed and digits
-        coin = digits[0] if keyed else self.coin.toss(state.link.transitions)
+        keyed = rules.keyed and digits
+        coin = digits[0] if keyed else self.coin.symbol(state.link.transitions, rules.size)
         state.step = step = Begun(offer, coin)
         if self.plant.acts:  # that cannot be undone
             yield state.save()
@@ -114,11 +116,6 @@ class Stepper:
         state.watchdog.applied(now)
         if not (self.plant.acts and state.pacing.waiting):
             yield from self.read(step, digits)
-
-    def digits(self, offer: Offer) -> tuple[int, ...]:
-        """The digits of the key stream that an offer names, where this end holds them."""
-        count = self.state.rules.digits
-        return (count and self.state.keys.stream.at(offer.position, count)) or ()
 
     # --- read, save, report -----------------------------------------------------------------------
 
@@ -131,7 +128,7 @@ class Stepper:
         ----------
         step : Begun
         digits : tuple of int
-            Those of the key stream that its offer names, as :meth:`digits` finds them now.
+            Those of the key stream that its offer names, as the state holds them now.
         """
         state, offer, k = self.state, step.offer, self.state.link.k
         x_next = self.plant.end(k)
@@ -199,45 +196,34 @@ class Stepper:
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
         counted = rules.count(before, offer, x_next, digits, coin)
-        agreed, pad = counted.carry
-        symbol, taken = NO_SYMBOL, NOTHING_TAKEN
-        if pad != NO_SYMBOL:
-            symbol = decrypt(offer.cipher, pad, rules.size)
-            taken = state.frame.take(symbol)
-        contribution = state.keys.count(before, offer, offer.copy_number)
+        taken = NOTHING_TAKEN
+        if counted.key != NO_SYMBOL:
+            taken = state.frame.take(counted.message_symbol)
         truth = self.plant.truth
-        transition = CountedTransition.of(
-            rules.scheme,
-            before,
-            offer,
-            x_next,
-            counted,
-            symbol,
-            contribution,
-            coin,
-            u,
-            truth,
+        transition = counted._replace(
+            counts=state.keys.count(before, offer, offer.copy_number),
+            coin=coin,
+            u=u,
+            truth=truth,
             recovered=taken.payload,
             refused=taken.refused,
         )
         state.step = IDLE
-        state.link = counted.link.at(report.k, x_next, report.nonce)
-        applied, wanted = state.applied, (NO_SYMBOL, coin)
+        state.link = counted.after.at(report.k, x_next, report.nonce)
+        applied, differs = state.applied, counted.symbol not in (NO_SYMBOL, coin)
         state.applied = AppliedRecord(
             u,
             x_next,
             report.applied_copy,
             bool(report.keyed),
             applied.missed,
-            applied.symbol_errors + (agreed not in wanted and not rules.scheme.corrects),
+            applied.symbol_errors + (differs and not rules.scheme.corrects),
             applied.sensor_seed,
             self._state_of(truth),
         )
         state.session.on("offer applied")
-        if counted.digits:
+        if digits:
             state.keys.used(offer.position, rules.digits)
-        self.coin.prepare(state.link.transitions)
-        self.plant.prepare(state.link.k)
         contradicted = self.news.counted(transition)
         ended = state.keys.ended()
         yield from map(Tell, ended)
@@ -246,21 +232,16 @@ class Stepper:
             yield state.save(taken.symbols, received=taken.payload)
         if state.keys.on:
             yield from map(Extract, state.keys.tasks())
-        if taken.ended:
-            yield self._frame_ended(transition)
+        if taken.refused:
+            yield Notice("a frame failed its check and was refused", "error")
+        elif taken.payload is not None:
+            self.news.last_message, self.news.message_k = taken.payload, offer.k
+            self.news.soon(state.now)
+            yield Notice(f"message recovered at step {offer.k}: {len(taken.payload)} bytes")
         if contradicted is not None:
             yield Notice(contradicted, "warning")
         if ended:
             yield from block_notices(state.keys, ended)
-
-    def _frame_ended(self, transition: CountedTransition) -> Notice:
-        """What is told of a frame that is whole, or failed its check."""
-        payload, k, news = transition.recovered, transition.k, self.news
-        if payload is None:
-            return Notice("a frame failed its check and was refused", "error")
-        news.last_message, news.message_k = payload, k
-        news.soon(self.state.now)
-        return Notice(f"message recovered at step {k}: {len(payload)} bytes")
 
     # --- steps without an offer -------------------------------------------------------------------
 
@@ -311,7 +292,7 @@ class Stepper:
             return self._fallback(link.x, u)
         return outputs.instead(link.estimate, link.k - link.applied_k - 1, u)
 
-    def _state_of(self, truth: Truth | None) -> Vector:
+    def _state_of(self, truth: TrueStep | None) -> Vector:
         """The simulated state that the record keeps: where no reading tells it."""
         return () if self.state.rules.outputs is None or truth is None else truth.x_next
 

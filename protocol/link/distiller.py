@@ -205,11 +205,11 @@ class Distiller:
 
     # --- rows and blocks --------------------------------------------------------------------------
 
-    def count(self, link: LinkRecord, offer: Offer, applied_copy: int) -> Contribution | None:
-        """What the transition that ``offer``, applied in its ``applied_copy``, made of ``link``
-        contributes (rule 9)."""
+    def count(self, link: LinkRecord, offer: Offer, applied_copy: int) -> int:
+        """Take the row of the transition that ``offer``, applied in its ``applied_copy``, made of
+        ``link`` (rule 9); which copies count, as :attr:`Contribution.counts` says."""
         if self.schedule is None or not self.session or link.transitions == 0:
-            return None  # a session's first transition only fixes where block 0 begins
+            return 0  # a session's first transition only fixes where block 0 begins
         row = contribution_of(
             j=link.transitions,
             steps=offer.k - link.applied_k,
@@ -222,7 +222,7 @@ class Distiller:
             self.record = self.record._replace(begun=self.record.begun + 1)
         self._count(self.schedule, row)
         self._rows.append(row)
-        return row
+        return row.counts
 
     def _count(self, schedule: Schedule, row: Contribution) -> None:
         if not self._open.pattern:

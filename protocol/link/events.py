@@ -6,7 +6,7 @@ A transition is :class:`protocol.link.session.CountedTransition`, a message that
 
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
-from protocol.link.session import CountedTransition, Truth
+from protocol.link.session import CountedTransition, TrueStep
 from protocol.vectors import Vector
 
 NEW_JOURNAL: Final = "new journal"
@@ -89,7 +89,7 @@ class Missed(NamedTuple):
     x: Vector
     u: Vector
     x_next: Vector
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
@@ -112,7 +112,7 @@ class Interrupted(NamedTuple):
     x_next: Vector
     candidates: tuple[Vector, ...] = ()
     coin: int = -1
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
@@ -184,5 +184,5 @@ class Timing(NamedTuple):
 
 def _labelled(fields: dict[str, Any]) -> dict[str, Any]:
     """The fields, with those of the truth in place of it."""
-    truth: Truth | None = fields.pop("truth")
+    truth: TrueStep | None = fields.pop("truth")
     return fields if truth is None else fields | truth.fields()

@@ -65,17 +65,7 @@ class LinkRecord(NamedTuple):
 
     def at(self, k: int, x: Vector, nonce: str) -> "LinkRecord":
         """The same at step ``k``, which reads ``x``."""
-        return LinkRecord(
-            k,
-            x,
-            self.applied_k,
-            self.state,
-            self.transitions,
-            self.p,
-            self.agreements,
-            nonce,
-            self.estimate,
-        )
+        return self._replace(k=k, x=x, nonce=nonce)
 
 
 class KeyRecord(NamedTuple):

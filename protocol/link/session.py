@@ -38,7 +38,6 @@ from protocol.agreement import (
     AgreementResult,
     AgreementRule,
     Gauge,
-    fails,
     predict,
 )
 from protocol.box_observer import Box, Estimate
@@ -49,10 +48,9 @@ from protocol.link.outputs import OutputRule
 from protocol.link.records import LinkRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.scenario import Scenario
-from protocol.schemes.base import Carry, Scheme
+from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
-from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import Vector
 
@@ -60,23 +58,140 @@ SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
 
 
-class Counted(NamedTuple):
-    """What a transition comes to, for both ends alike.
+class TrueStep(NamedTuple):
+    """What a step really came to, where an attack or a noisy sensor says otherwise.
 
     Parameters
     ----------
-    verdict : AgreementResult
-    link : LinkRecord
-        What follows from the one before; step, reading and nonce are the end's to set.
-    carry : Carry
-    digits : tuple of int
-        Those of the key stream that served.
+    x_next : tuple of float, shape (n,)
+        The true state after the step.
+    u : tuple of float, shape (m,)
+        The input that was really applied.
+    failed : str
+        Why the attack is over, in the step in which it failed.
     """
 
+    x_next: Vector
+    u: Vector
+    failed: str = ""
+
+    def fields(self) -> dict[str, Any]:
+        """As fields of a trace's line."""
+        told = {"true_x_next": self.x_next, "true_u": self.u}
+        return told | {"attack_failed": self.failed} if self.failed else told
+
+
+class CountedTransition(NamedTuple):
+    """A transition as one side counted it: the public part, and what that side made of it.
+
+    ``j`` is its number in the session. ``x``, ``candidates``, ``cipher`` and ``x_next`` are public.
+    ``role`` is ``message`` where it carried a message symbol, else ``test``. ``gauges`` (of the
+    ``verdict``) tell how far ``x_next`` lies from each prediction; 1 is the edge of D_c. ``symbol``
+    is the key symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p]
+    carried (each -1 where there is none). ``p`` counts message symbols up to here, ``s`` is the
+    automaton's state afterwards. ``tested`` says whether the verdict counted. ``counts`` says which
+    copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
+    ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
+    b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
+    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the key
+    stream that the offer names, None where it names none; ``served`` has the digits that served.
+    ``after`` is the link that follows; its step, reading and nonce are the end's to set. Only the
+    controller has ``expected``, the candidate that its own digit chose: -1 where the transition is
+    unwatched. A frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused``
+    (plant).
+    """
+
+    session: str
+    j: int
+    k: int
+    x: Vector
+    candidates: tuple[Vector, ...]
+    cipher: int
+    x_next: Vector
+    role: Literal["test", "message"]
     verdict: AgreementResult
-    link: LinkRecord
-    carry: Carry
-    digits: tuple[int, ...]
+    symbol: int
+    key: int
+    message_symbol: int
+    p: int
+    s: int
+    tested: bool
+    counts: int = 0
+    predictions: tuple[Vector, ...] = ()
+    digits: Position | None = None
+    served: tuple[int, ...] = ()
+    after: LinkRecord = LinkRecord()
+    coin: int = NO_SYMBOL
+    u: Vector = ()
+    truth: TrueStep | None = None
+    expected: int = NO_SYMBOL
+    delivered: SendCommand | None = None
+    recovered: bytes | None = None
+    refused: bool = False
+
+    @property
+    def shared(self) -> Self:
+        """What both ends count alike: all but coin, input, truth, test, and the message."""
+        return self._replace(
+            after=LinkRecord(),
+            coin=NO_SYMBOL,
+            u=(),
+            truth=None,
+            expected=NO_SYMBOL,
+            delivered=None,
+            recovered=None,
+            refused=False,
+        )
+
+    def report(self) -> dict[str, Any] | None:
+        """The line behind the transition's, of the frame that it completed, if any.
+
+        ``delivered``: the controller has counted every symbol of it. ``recovered``: it passed its
+        check at the plant. ``refused``: it failed.
+        """
+        if self.delivered is not None:
+            payload = base64.b64encode(self.delivered.payload).decode()
+            return {"event": "delivered", "id": self.delivered.id, "payload": payload}
+        if self.recovered is not None:
+            payload = base64.b64encode(self.recovered).decode()
+            return {"event": "recovered", "payload": payload}
+        if self.refused:
+            return {"event": "refused", "session": self.session, "p": self.p}
+        return None
+
+    def as_event(self) -> dict[str, Any]:
+        """The transition as a trace's event."""
+        event = {
+            "event": "transition",
+            "session": self.session,
+            "j": self.j,
+            "k": self.k,
+            "x": self.x,
+            "candidates": self.candidates,
+            "cipher": self.cipher,
+            "x_next": self.x_next,
+            "role": self.role,
+            "gauges": self.verdict.gauges,
+            "symbol": self.symbol,
+            "key": self.key,
+            "message_symbol": self.message_symbol,
+            "p": self.p,
+            "s": self.s,
+            "counts": self.counts,
+        }
+        if self.predictions:
+            event["predictions"] = self.predictions
+        if self.verdict.box is not None:
+            event["box"] = self.verdict.box
+        if self.coin != NO_SYMBOL:
+            event["coin"] = self.coin
+            event["u"] = self.u
+        if self.digits is not None:
+            event["digits"] = self.digits
+            event["keyed"] = bool(self.served)
+        if self.expected != NO_SYMBOL:
+            event["expected"] = self.expected
+        return event if self.truth is None else event | self.truth.fields()
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,51 +275,57 @@ class Rules:
 
     def count(
         self,
-        link: LinkRecord,
+        before: LinkRecord,
         offer: Offer,
         x_next: Vector,
         digits: tuple[int, ...],
         coin: int = NO_SYMBOL,
-    ) -> Counted:
-        """Judge the transition that an applied offer made of ``link``; advance the automaton.
+    ) -> CountedTransition:
+        """Judge the transition that an applied offer made of the link ``before``; advance.
 
         The key is what the test returns (equations 21 and 22), at both ends. Under the key stream
         it is the last of the ``digits`` that served. Where words are corrected the plant, which
         has a ``coin``, gathers that.
         """
-        scheme = self.scheme
-        box = self.box(link.estimate, link.k - link.applied_k - 1, link.x)
-        verdict = self.judge(link.x, offer.candidates, offer.predictions, x_next, box)
-        state, symbol = link.state, verdict.symbol
+        scheme, position = self.scheme, offer.position
+        box = self.box(before.estimate, before.k - before.applied_k - 1, before.x)
+        verdict = self.judge(before.x, offer.candidates, offer.predictions, x_next, box)
+        state, symbol = before.state, verdict.symbol
         if scheme.corrects and coin != NO_SYMBOL:
             state, symbol = scheme.hear(state, offer.cipher), coin
-        state, carry = scheme.follow(state, symbol)
+        state, (agreed, pad) = scheme.follow(state, symbol)
         if scheme.from_stream and digits:
-            carry = Carry(carry.agreed, digits[-1])
-        following = LinkRecord(
-            link.k,
-            link.x,
-            offer.k,
-            state,
-            link.transitions + 1,
-            link.p + (carry.pad != NO_SYMBOL),
-            link.agreements + (carry.agreed != NO_SYMBOL),
-            link.nonce,
-            verdict.estimate,
+            pad = digits[-1]
+        carried = pad != NO_SYMBOL
+        after = before._replace(
+            applied_k=offer.k,
+            state=state,
+            transitions=before.transitions + 1,
+            p=before.p + carried,
+            agreements=before.agreements + (agreed != NO_SYMBOL),
+            estimate=verdict.estimate,
         )
-        return Counted(verdict, following, carry, digits)
-
-    def fails(self, verdict: AgreementResult, expected: int) -> bool:
-        """Whether a transition fails its test.
-
-        Parameters
-        ----------
-        verdict : AgreementResult
-        expected : int
-            The candidate that a key chose; -1: none did.
-        """
-        keyed = expected != NO_SYMBOL
-        return verdict.unexplained or (keyed and fails(verdict.gauges, expected))
+        return CountedTransition(
+            session=offer.session,
+            j=before.transitions,
+            k=offer.k,
+            x=before.x,
+            candidates=offer.candidates,
+            cipher=offer.cipher,
+            x_next=x_next,
+            role="message" if carried else "test",
+            verdict=verdict,
+            symbol=agreed,
+            key=pad,
+            message_symbol=decrypt(offer.cipher, pad, self.size) if carried else NO_SYMBOL,
+            p=after.p,
+            s=after.s,
+            tested=scheme.tests(before.state),
+            predictions=offer.predictions,
+            digits=None if position == NOWHERE else position,
+            served=digits,
+            after=after,
+        )
 
     def box(self, estimate: Estimate | None, missed: int, reading: Vector) -> Box | None:
         """Where the state lies; None where it is read as it is.
@@ -221,15 +342,15 @@ class Rules:
             return None
         return self.outputs.box(estimate, missed, reading)
 
-    def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
-        """f_c(x, u_i) of one candidate of an offer, as it would be read."""
+    def prediction(self, t: CountedTransition, candidate: int) -> Vector:
+        """f_c(x, u_i) of one candidate of a transition, as it would be read."""
         if self.outputs is not None:
-            assert box is not None
-            expected = self.outputs.predictions(box, offer.candidates)[candidate]
+            assert t.verdict.box is not None
+            expected = self.outputs.predictions(t.verdict.box, t.candidates)[candidate]
             return self.outputs.observer.read(expected)
         if self.predicted:
-            return offer.predictions[candidate]
-        return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
+            return t.predictions[candidate]
+        return predict(self.agreement.A, self.agreement.B, t.x, t.candidates[candidate])
 
     def malformed_digits(self, name: str, *said: object) -> str:
         """What is wrong with a message's fields of the key stream, which begin with ``name``."""
@@ -294,186 +415,3 @@ def _output_rule(scenario: Scenario) -> OutputRule | None:
 def reports(link: LinkRecord, offer: Offer | None, measurement: Measurement) -> bool:
     """Whether a measurement reports that ``offer``, the controller's last one, was applied."""
     return offer is not None and measurement.applied_k != link.applied_k
-
-
-class Truth(NamedTuple):
-    """What a step really came to, where an attack or a noisy sensor says otherwise.
-
-    Parameters
-    ----------
-    x_next : tuple of float, shape (n,)
-        The true state after the step.
-    u : tuple of float, shape (m,)
-        The input that was really applied.
-    failed : str
-        Why the attack is over, in the step in which it failed.
-    """
-
-    x_next: Vector
-    u: Vector
-    failed: str = ""
-
-    def fields(self) -> dict[str, Any]:
-        """As fields of a trace's line."""
-        told = {"true_x_next": self.x_next, "true_u": self.u}
-        return told | {"attack_failed": self.failed} if self.failed else told
-
-
-class CountedTransition(NamedTuple):
-    """A transition as one side counted it: the public part, and what that side made of it.
-
-    ``j`` is its number in the session. ``x``, ``candidates``, ``cipher`` and ``x_next`` are public.
-    ``role`` is ``message`` where it carried a message symbol, else ``test``. ``gauges`` (of the
-    ``verdict``) tell how far ``x_next`` lies from each prediction; 1 is the edge of D_c. ``symbol``
-    is the key symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p]
-    carried (each -1 where there is none). ``p`` counts message symbols up to here, ``s`` is the
-    automaton's state afterwards. ``tested`` says whether the verdict counted. ``counts`` says which
-    copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
-    ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
-    b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
-    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the key
-    stream that the offer names, None where it names none; ``keyed`` says whether they served. Only
-    the controller has ``expected``, the candidate that its own digit chose: -1 where the transition
-    is unwatched. A frame that it completed is ``delivered`` (controller), ``recovered`` or
-    ``refused`` (plant).
-    """
-
-    session: str
-    j: int
-    k: int
-    x: Vector
-    candidates: tuple[Vector, ...]
-    cipher: int
-    x_next: Vector
-    role: Literal["test", "message"]
-    verdict: AgreementResult
-    symbol: int
-    key: int
-    message_symbol: int
-    p: int
-    s: int
-    tested: bool
-    counts: int = 0
-    predictions: tuple[Vector, ...] = ()
-    digits: Position | None = None
-    coin: int = NO_SYMBOL
-    u: Vector = ()
-    truth: Truth | None = None
-    keyed: bool = False
-    expected: int = NO_SYMBOL
-    delivered: SendCommand | None = None
-    recovered: bytes | None = None
-    refused: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        scheme: Scheme[Any],
-        before: LinkRecord,
-        offer: Offer,
-        x_next: Vector,
-        counted: Counted,
-        message_symbol: int,
-        contribution: Contribution | None,
-        coin: int = NO_SYMBOL,
-        u: Vector = (),
-        truth: Truth | None = None,
-        expected: int = NO_SYMBOL,
-        delivered: SendCommand | None = None,
-        recovered: bytes | None = None,
-        refused: bool = False,
-    ) -> Self:
-        """The transition that an applied offer made of the link ``before`` it."""
-        verdict, after, carry, digits = counted
-        carried, position = carry.pad != NO_SYMBOL, offer.position
-        return cls(  # by place, which takes half the time: both ends do it in each step
-            offer.session,
-            before.transitions,
-            offer.k,
-            before.x,
-            offer.candidates,
-            offer.cipher,
-            x_next,
-            "message" if carried else "test",
-            verdict,
-            carry.agreed,
-            carry.pad,
-            message_symbol,
-            after.p,
-            after.s,
-            scheme.tests(before.state),
-            0 if contribution is None else contribution.counts,
-            offer.predictions,
-            None if position == NOWHERE else position,
-            coin,
-            u,
-            truth,
-            bool(digits),
-            expected,
-            delivered,
-            recovered,
-            refused,
-        )
-
-    @property
-    def shared(self) -> Self:
-        """What both ends count alike: all but coin, input, truth, test, and the message."""
-        return self._replace(
-            coin=NO_SYMBOL,
-            u=(),
-            truth=None,
-            expected=NO_SYMBOL,
-            delivered=None,
-            recovered=None,
-            refused=False,
-        )
-
-    def report(self) -> dict[str, Any] | None:
-        """The line behind the transition's, of the frame that it completed, if any.
-
-        ``delivered``: the controller has counted every symbol of it. ``recovered``: it passed its
-        check at the plant. ``refused``: it failed.
-        """
-        if self.delivered is not None:
-            payload = base64.b64encode(self.delivered.payload).decode()
-            return {"event": "delivered", "id": self.delivered.id, "payload": payload}
-        if self.recovered is not None:
-            payload = base64.b64encode(self.recovered).decode()
-            return {"event": "recovered", "payload": payload}
-        if self.refused:
-            return {"event": "refused", "session": self.session, "p": self.p}
-        return None
-
-    def as_event(self) -> dict[str, Any]:
-        """The transition as a trace's event."""
-        event = {
-            "event": "transition",
-            "session": self.session,
-            "j": self.j,
-            "k": self.k,
-            "x": self.x,
-            "candidates": self.candidates,
-            "cipher": self.cipher,
-            "x_next": self.x_next,
-            "role": self.role,
-            "gauges": self.verdict.gauges,
-            "symbol": self.symbol,
-            "key": self.key,
-            "message_symbol": self.message_symbol,
-            "p": self.p,
-            "s": self.s,
-            "counts": self.counts,
-        }
-        if self.predictions:
-            event["predictions"] = self.predictions
-        if self.verdict.box is not None:
-            event["box"] = self.verdict.box
-        if self.coin != NO_SYMBOL:
-            event["coin"] = self.coin
-            event["u"] = self.u
-        if self.digits is not None:
-            event["digits"] = self.digits
-            event["keyed"] = self.keyed
-        if self.expected != NO_SYMBOL:
-            event["expected"] = self.expected
-        return event if self.truth is None else event | self.truth.fields()

@@ -200,7 +200,7 @@ class Jammed(Simulation):
             self.expected[at] = event.expected
         elif at not in self.coins:
             self.steps.append(at)
-            self.coins[at] = event.coin if event.keyed else NO_SYMBOL
+            self.coins[at] = event.coin if event.served else NO_SYMBOL
 
     @property
     def watched(self) -> list[bool]:

@@ -6,6 +6,7 @@ import pytest
 
 from protocol.box_observer import Box, Estimate
 from protocol.link.outputs import MOST_MISSED, OutputRule
+from protocol.link.records import LinkRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
 from protocol.schemes.sealed import Sealed
@@ -24,10 +25,11 @@ OFFER = Offer(session=S, k=7, candidates=CANDIDATES, cipher=1)
 
 def test_what_is_expected_is_the_offers_prediction_or_the_models() -> None:
     offer = OFFER.model_copy(update={"predictions": ((8.0,), (9.0,))})
+    t = RULES.count(LinkRecord(7, (2.0,), state=RULES.scheme.initial), offer, (3.5,), ())
     for candidate in (0, 1):
-        assert RULES.prediction((2.0,), offer, candidate) == (2.0 + CANDIDATES[candidate][0],)
+        assert RULES.prediction(t, candidate) == (2.0 + CANDIDATES[candidate][0],)
         predicted = replace(RULES, predicted=True)
-        assert predicted.prediction((2.0,), offer, candidate) == offer.predictions[candidate]
+        assert predicted.prediction(t, candidate) == offer.predictions[candidate]
     assert RULES.box(None, 0, (2.0,)) is None
 
 

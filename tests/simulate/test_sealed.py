@@ -56,7 +56,7 @@ def test_the_first_digit_serves_when_the_schedule_says_and_then_each_step_has_on
     assert schedule is not None
     steps = 200
     history = loop.run(steps=steps)
-    served = [t.k for t in history.plant.values() if t.keyed]
+    served = [t.k for t in history.plant.values() if t.served]
     assert served == list(range(schedule.first_use, steps))
     assert history.inbox == [TEXT]
     assert not loop.alarms
@@ -70,11 +70,11 @@ def test_a_sealed_message_comes_through_a_network_that_loses_and_ends_that_die()
         assert history.inbox == [TEXT], seed
         assert history.crashes > 0
         assert not loop.alarms
-        carried = [t for t in history.plant.values() if t.keyed]
+        carried = [t for t in history.plant.values() if t.served]
         assert len(carried) >= len(TEXT) * 4
         for t in history.plant.values():
-            assert t.keyed == (t.message_symbol >= 0)
-            assert not t.keyed or t.digits not in (None, NOWHERE)
+            assert bool(t.served) == (t.message_symbol >= 0)
+            assert not t.served or t.digits not in (None, NOWHERE)
 
 
 def test_a_seed_gives_the_same_keys_and_so_the_same_run() -> None:
@@ -83,7 +83,7 @@ def test_a_seed_gives_the_same_keys_and_so_the_same_run() -> None:
     first, second = (Looked("sealed", 4, faults) for _ in range(2))
     for loop in (first, second):
         loop.run(steps=150)
-    assert any(t.keyed for t in first.history.plant.values())
+    assert any(t.served for t in first.history.plant.values())
     assert first.sent == second.sent
     assert first.history.plant == second.history.plant
     other = Looked("sealed", 5, faults)

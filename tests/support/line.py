@@ -10,13 +10,13 @@ from typing import Any
 from controller_service.core import ControllerCore
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
-from plant_service.plant import Coin, OperatedPlant
+from plant_service.plant import OperatedPlant
 from protocol.agreement import AgreementRule, Gauge
 from protocol.link.effects import Save
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.records import PlantRecord
-from protocol.link.session import CountedTransition, Rules, Truth
+from protocol.link.session import CountedTransition, Rules, TrueStep
 from protocol.link.step import Read
 from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
@@ -62,21 +62,18 @@ def disowned(plant: PlantCore) -> ControllerHello:
     )
 
 
-class LinePlant(Coin):
+class LinePlant:
     """x+ = x + u + d; on a missed step u is held. ``coin`` and ``d`` are the next step's."""
 
     acts = device = False
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def __init__(self) -> None:
         self.coin = 0
         self.d = 0.0
         self._x = self._u = 0.0
 
-    def prepare(self, j: int) -> None:
-        pass
-
-    def toss(self, j: int) -> int:
+    def symbol(self, transition: int, size: int) -> int:
         return self.coin
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
@@ -201,7 +198,7 @@ class LineDevice(Operated):
             assert event.u == (self.over,), "a step had another input than its trace says"
 
 
-class ActingLine(OperatedPlant, Coin):
+class ActingLine(OperatedPlant):
     """The real order of a step, on the line; ``coin`` and ``d`` are the next step's."""
 
     def __init__(self, device: LineDevice) -> None:
@@ -220,10 +217,7 @@ class ActingLine(OperatedPlant, Coin):
         assert isinstance(self.operated, LineDevice)
         self.operated.d = d
 
-    def prepare(self, k: int) -> None:
-        pass
-
-    def toss(self, j: int) -> int:
+    def symbol(self, transition: int, size: int) -> int:
         return self.coin
 
 

@@ -67,7 +67,7 @@ class Digits:
 
     def counted(self, t: CountedTransition, *, coins: bool) -> None:
         """A transition is counted; ``coins``: the digits choose the plant's."""
-        if t.keyed:
+        if t.served:
             assert t.digits is not None
             at = t.session, t.digits
             assert self.served.setdefault(at, t.k) == t.k, "a digit served two steps"

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from plant_service.core import PlantCore
-from protocol.link.session import Truth
+from protocol.agreement import predict
+from protocol.link.session import TrueStep
 from protocol.link.step import Begun
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
@@ -62,15 +63,11 @@ class Ghost:
     """A sensor that shows what candidate 0 would have led to, whatever was applied."""
 
     acts = device = False
-    truth: Truth | None = None
+    truth: TrueStep | None = None
 
     def __init__(self, core: PlantCore) -> None:
         self.core = core
-        self.prepare, self.safe, self.close = (
-            core.stepper.plant.prepare,
-            core.stepper.plant.safe,
-            core.stepper.plant.close,
-        )
+        self.safe, self.close = core.stepper.plant.safe, core.stepper.plant.close
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         self.x = x
@@ -78,7 +75,8 @@ class Ghost:
     def end(self, k: int) -> Vector:
         step = self.core.state.step
         assert isinstance(step, Begun)
-        return self.core.state.rules.prediction(self.x, step.offer, 0)
+        agreement = self.core.state.rules.agreement
+        return predict(agreement.A, agreement.B, self.x, step.offer.candidates[0])
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from controller_service.alarms import alarm_of, first, session_ended, tested
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.box_observer import Box
 from protocol.link.events import Alarm, PowerFailed, SessionBegan
-from protocol.link.records import AlarmRecord, LinkRecord
-from protocol.link.session import Counted, CountedTransition, Rules
-from protocol.messages import Measurement, Offer
-from protocol.schemes.base import Carry
+from protocol.link.records import AlarmRecord
+from protocol.link.session import CountedTransition, Rules
+from protocol.messages import Measurement
+from protocol.secret.stream import Position
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.lines import OtherLine
 
@@ -43,17 +43,11 @@ def alarms(e: Evidence) -> Findings:
             if first(rules, record).reason and known and not lost:
                 text = "too many steps had no digit before, and no alarm is told"
                 yield Finding("alarms", session, k, text)
-            offer, transition = _made(session, t)
-            counted = Counted(
-                transition.verdict,
-                LinkRecord(),
-                Carry(NO_SYMBOL, NO_SYMBOL),
-                () if t["expected"] == NO_SYMBOL else (t["expected"],),
-            )
-            record, _, reason = tested(rules, record, offer, counted)
+            transition = _made(session, t)
+            record, _, reason = tested(rules, record, transition)
             if reason:
                 sure = known and not (lost and reason == "unwatched")
-                due[session, t["j"]] = _Due(rules, offer, transition, reason, sure)
+                due[session, t["j"]] = _Due(rules, transition, reason, sure)
         elif not isinstance(item, OtherLine):
             continue
         elif isinstance(item.line, PowerFailed):
@@ -90,7 +84,6 @@ class _Due(NamedTuple):
     """A transition whose test failed, and whether that is sure."""
 
     rules: Rules
-    offer: Offer
     transition: CountedTransition
     reason: Any
     sure: bool
@@ -101,38 +94,35 @@ class _Due(NamedTuple):
         read = Measurement.model_construct(
             session=t.session, k=t.k + 1, x=t.x_next, applied_k=t.k, x_after=t.x_next
         )
-        due = alarm_of(self.rules, read, t, self.offer, self.reason)
+        due = alarm_of(self.rules, read, t, self.reason)
         return "" if line == due else f"the alarm says {tuple(line)}, the test {tuple(due)}"
 
 
-def _made(session: str, t: dict[str, Any]) -> tuple[Offer, CountedTransition]:
-    """The offer and the transition of a row, as far as a test sees them."""
-    candidates = tuple(map(tuple, t["candidates"]))
-    offer = Offer.model_construct(
-        session=session,
-        k=t["k"],
-        candidates=candidates,
-        cipher=0,
-        predictions=tuple(map(tuple, t.get("predictions", ()))),
-        stream_block=t.get("block", -1),
-        stream_at=0,
-    )
-    box = Box(*map(tuple, t["box"])) if "box" in t else None
-    return offer, CountedTransition(
+def _made(session: str, t: dict[str, Any]) -> CountedTransition:
+    """The transition of a row, as far as a test sees it."""
+    block, expected = t.get("block", -1), t["expected"]
+    return CountedTransition(
         session=session,
         j=t["j"],
         k=t["k"],
         x=tuple(t["x"]),
-        candidates=candidates,
+        candidates=tuple(map(tuple, t["candidates"])),
         cipher=0,
         x_next=tuple(t["x_next"]),
         role="test",
-        verdict=AgreementResult(tuple(t["gauges"]), NO_SYMBOL, box=box),
+        verdict=AgreementResult(
+            tuple(t["gauges"]),
+            NO_SYMBOL,
+            box=Box(*map(tuple, t["box"])) if "box" in t else None,
+        ),
         symbol=NO_SYMBOL,
         key=NO_SYMBOL,
         message_symbol=NO_SYMBOL,
         p=0,
         s=0,
         tested=True,
-        expected=t["expected"],
+        predictions=tuple(map(tuple, t.get("predictions", ()))),
+        digits=None if block < 0 else Position(block, 0),
+        served=() if expected == NO_SYMBOL else (expected,),
+        expected=expected,
     )
