@@ -13,8 +13,7 @@ from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.logs import RateLimitedLog
-from runtime.rates import Burst
+from runtime.logs import Burst, RateLimitedLog
 from runtime.recording import TraceWriter
 
 
