@@ -182,3 +182,18 @@ def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
             partial.write_bytes(data)
         except OSError as error:  # what is done to a file that is open does not name it
             raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def cache_folder(kind: str) -> Path:
+    """Where designs are kept: ``$XDG_CACHE_HOME/wyner/KIND``, else ``~/.cache/wyner/KIND``.
+
+    A user without a home is given a folder that cannot be made: nothing is kept.
+    """
+    base = os.environ.get("XDG_CACHE_HOME")
+    if base and Path(base).is_absolute():
+        return Path(base) / "wyner" / kind
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path(os.devnull)
+    return home / ".cache" / "wyner" / kind
