@@ -96,7 +96,7 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    broken(patch, outgoing, "if cover is None:", "if True:")
+    broken(patch, outgoing, " if decided is None else decided", "")
 
 
 def apply_stale(patch: Patch) -> None:
