@@ -164,8 +164,7 @@ class AffineLaw:
 
     def averaged(self, u: Array) -> Array:
         """An offer whose candidates share one input, each misread by itself, with that of all."""
-        out: Array = (u - self.g).mean(axis=0) + self.g
-        return out
+        return (u - self.g).mean(axis=0) + self.g
 
     def items(self, offer: Array, noise: float) -> list[Item]:
         """What an offer says of its state: all candidates together where they share one input."""

@@ -59,10 +59,7 @@ def align(
     begins = np.ones(P)
     begins[waits[waits < P]] = BEGINS
     pads = table.pad[:E]
-    after = np.array(
-        [[int(table.following(np.array([e]), np.array([v]))[0]) for v in range(-1, M)]
-         for e in range(E)]
-    )  # fmt: skip
+    after = table.all_following()
     carried = [begins * stream[:, m] * M for m in range(M)]
     whole = begins * stream.sum(axis=1)
 
@@ -74,10 +71,10 @@ def align(
         g = np.zeros_like(f)
         if c < 0:
             g[1:] = f[:-1] * whole
-            return np.asarray(g + f * idles)
+            return g + f * idles
         m = (c - int(pads[e])) % M
         g[1:] = f[:-1] * carried[m]
-        return np.asarray(g + f * idles * M) if m == IDLE else g
+        return g + f * idles * M if m == IDLE else g
 
     F = np.zeros((K + 1, E, P + 1))
     F[0, :, 0] = entry

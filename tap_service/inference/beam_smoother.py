@@ -237,7 +237,7 @@ class BeamSmoother:
         if self._noise or len(whole) < ENOUGH:
             return False
         left = residuals_of(self._A, self._B, whole)
-        gauges = self._gauges(left)
+        gauges = self._shape.gauges(left)
         nearest = left[np.arange(len(whole)), gauges.argmin(axis=1)]
         self.support = float(gauges.min(axis=1).max()) * (1 + 2 / len(whole))
         self._spread(np.abs(nearest).max(axis=0) * (1 + 2 / len(whole)))
@@ -469,7 +469,7 @@ class BeamSmoother:
                 continue
             drawn, gauges = self._back(now, ways, drawn)
             if t.whole and not self._noise:
-                gauges = self._gauges(residuals_of(self._A, self._B, [t]))
+                gauges = self._shape.gauges(residuals_of(self._A, self._B, [t]))
             steps.append(InferredStep(t, gauges))
         return steps[::-1]
 
@@ -483,8 +483,7 @@ class BeamSmoother:
         """Draws of covariances ``P``, shape (..., n, n)."""
         values, vectors = np.linalg.eigh(P)
         z = np.sqrt(np.maximum(values, 0.0)) * self._rng.standard_normal(values.shape)
-        out: Array = np.einsum("...ij,...j->...i", vectors, z)
-        return out
+        return np.einsum("...ij,...j->...i", vectors, z)
 
     def _back(self, now: Mixture, ways: Sequence[Move], after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, n), and the gauges of that step, shape (S, M)."""
@@ -530,12 +529,7 @@ class BeamSmoother:
             blur *= np.sqrt(2) * (error[way, part] * misread)[:, None, None]
             blur[np.arange(count), choice] = 0.0
             apart = apart + blur
-        return x, self._gauges(d[:, None] + apart)
-
-    def _gauges(self, residuals: Array) -> Array:
-        """Of residuals of shape (..., M, n)."""
-        gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=-1), 0.0)
-        return self._shape.bounded(gauges, residuals)
+        return x, self._shape.gauges(d[:, None] + apart)
 
 
 @dataclass(frozen=True)
@@ -573,8 +567,7 @@ def _log_normal(off: Array, S: Array) -> Array:
     found = np.maximum(
         np.einsum("...i,...i->...", off, np.linalg.solve(S, off[..., None])[..., 0]), 0.0
     )
-    out: Array = -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
-    return out
+    return -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
 
 
 def _deviations(P: Array) -> Array:

@@ -232,8 +232,7 @@ def so_far(letters: Codes, place: Indices) -> Codes:
 def _last(where: Flags) -> Indices:
     """The last place before each one at which it holds, or -1."""
     places = np.where(where, np.arange(len(where)), -1)
-    out: Indices = np.append(-1, np.maximum.accumulate(places)[:-1])
-    return out
+    return np.append(-1, np.maximum.accumulate(places)[:-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,8 +296,7 @@ def _class_table() -> Codes:
 
 def class_of(values: NDArray[np.integer]) -> Codes:
     """The class of each byte."""
-    out: Codes = _class_table()[values]
-    return out
+    return _class_table()[values]
 
 
 def class_named(character: str) -> int:

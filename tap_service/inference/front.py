@@ -103,10 +103,7 @@ class Inference:
         """Of each candidate of a step heard whole, in a shape that was learned; None before."""
         if self._shape.told is None:
             return None
-        residuals = residuals_of(self._A, self._B, [t])[0]
-        gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=1), 0.0)
-        found: list[float] = self._shape.bounded(gauges, residuals).tolist()
-        return found
+        return self._shape.gauges(residuals_of(self._A, self._B, [t])[0]).tolist()
 
     def infer(self, transitions: Sequence[Transition]) -> Inferred:
         """Infer the transcript that is kept, in one call."""

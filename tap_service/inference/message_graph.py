@@ -206,7 +206,7 @@ def check_symbols(
         alpha /= alpha.max()
         used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
         alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
-    return np.asarray(out / out.sum(axis=1, keepdims=True))
+    return out / out.sum(axis=1, keepdims=True)
 
 
 def judge(

@@ -34,8 +34,7 @@ Words = NDArray[np.uint32]
 def first_of_each(texts: Texts) -> Indices:
     """Where each of the texts, a row each, is first, in their order."""
     key = np.ascontiguousarray(texts)
-    first: Indices = np.unique(key.view(f"V{key.shape[1]}").ravel(), return_index=True)[1]
-    return first
+    return np.unique(key.view(f"V{key.shape[1]}").ravel(), return_index=True)[1]
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class MessageReader:
     ) -> None:
         self._table = StateTable(scheme)
         self._size = scheme.alphabet
-        self._states = states_of(self._table)
+        self._states = len(self._table.all_following())
         self._language, self._certain, self._beam = language, certain, beam
         self._room = 0
         self.stretches: list[Stretch] = []
@@ -256,17 +256,3 @@ class MessageReader:
             else self._language.named(found.kinds),
         )
         return message, ends
-
-
-def states_of(table: StateTable) -> int:
-    """Number all states of a scheme; how many there are."""
-    known = 1
-    while True:
-        following = [
-            int(table.following(np.array([e]), np.array([v]))[0])
-            for e in range(known)
-            for v in range(-1, table.scheme.alphabet)
-        ]
-        if max(following) + 1 <= known:
-            return known
-        known = max(following) + 1

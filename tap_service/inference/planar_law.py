@@ -107,22 +107,19 @@ class PlanarLaw:
     def answers(self, x: Array) -> Array:
         """The programs' answers in states ``x``, shape (S, 2); returns shape (S, V)."""
         u: Array = np.minimum(x @ self.free.T, self._most(x)[:, None])
-        return np.asarray(np.maximum(u, self._least(x)[:, None]))
+        return np.maximum(u, self._least(x)[:, None])
 
     def _most(self, x: Array) -> Array:
         """The largest input that the facets leave in states ``x``, shape (S,)."""
-        out: Array = (self.high[:, :2] @ x.T + self.width * self.high[:, 2:]).min(axis=0)
-        return out
+        return (self.high[:, :2] @ x.T + self.width * self.high[:, 2:]).min(axis=0)
 
     def _least(self, x: Array) -> Array:
         """The smallest, shape (S,)."""
-        out: Array = (self.low[:, :2] @ x.T + self.width * self.low[:, 2:]).max(axis=0)
-        return out
+        return (self.low[:, :2] @ x.T + self.width * self.low[:, 2:]).max(axis=0)
 
     def holds(self, x: Array) -> Flags:
         """Whether the facets leave an input in states ``x``, shape (S, 2)."""
-        out: Flags = self._least(x) <= self._most(x) + CLIPPED
-        return out
+        return self._least(x) <= self._most(x) + CLIPPED
 
     def offsets(self) -> Array:
         """The candidates about the one answer, shape (M,)."""
@@ -132,12 +129,12 @@ class PlanarLaw:
     def offers(self, x: Array) -> Array:
         """The candidates in states ``x``, shape (S, M)."""
         u = self.answers(x)
-        return np.asarray(u + self.offsets()) if self.gap else u
+        return u + self.offsets() if self.gap else u
 
     def solved(self, offer: Array) -> Array:
         """The programs' answers in an offer, shape (M, 1); returns shape (V,)."""
         if not self.gap:
-            return np.asarray(offer[:, 0])
+            return offer[:, 0]
         return np.array([offer[:, 0].mean()])
 
     @property
@@ -180,8 +177,7 @@ class PlanarLaw:
             u = np.einsum("ckn,cn->ck", x, slopes) + offsets[:, None]
             answers = self.answers(x.reshape(-1, 2))[:, programs]
             off = np.abs(answers - u.reshape(-1, 1)).max(axis=1)
-            found: Flags = (off <= self.error).reshape(u.shape)
-            return found
+            return (off <= self.error).reshape(u.shape)
 
         return holds
 
@@ -215,8 +211,7 @@ class PlanarLaw:
 
     def explains(self, x: Array, u: Array) -> Array:
         """By how much the law misses answers ``u``, shape (S, V), in states ``x``."""
-        missed: Array = np.abs(self.answers(x) - u).max(axis=1)
-        return missed
+        return np.abs(self.answers(x) - u).max(axis=1)
 
     def blur(self, x: Array, noise: float) -> Array:
         """By how much an answer may be off where states ``x`` are read through noise, shape (S,).
@@ -224,8 +219,7 @@ class PlanarLaw:
         The standard deviation of the steepest piece that answers there, and of reading the answer.
         """
         steep = np.linalg.norm(self._slopes(x), axis=2)
-        out: Array = noise * np.sqrt(1 + steep.max(axis=1) ** 2)
-        return out
+        return noise * np.sqrt(1 + steep.max(axis=1) ** 2)
 
     def fitted(self, x: Array, u: Array) -> "PlanarLaw":
         """The width under which the law explains answers ``u`` in states ``x`` best."""

@@ -112,8 +112,7 @@ def weights_of(table: StateTable, run: Run, verdicts: Array) -> Array:
     """Log weight of a run by each of T thresholds, given its verdicts, shape (K, T, 1 + M)."""
     size, states = table.scheme.alphabet, len(run.entry)
     to = np.zeros((states, size + 1, states))
-    for e in range(states):
-        following = table.following(np.full(size + 1, e), np.arange(-1, size))
+    for e, following in enumerate(table.all_following()):
         to[e, np.arange(size + 1), following] = 1.0
     moved = _frames(size)
     pads = table.pad[:states]

@@ -49,16 +49,8 @@ def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def closed(name: str, size: int) -> tuple[StateTable, int]:
-    table, states = StateTable(make_scheme(name, size)), 1
-    while True:
-        most = max(
-            int(table.following(np.array([e]), np.array([v]))[0])
-            for e in range(states)
-            for v in range(-1, size)
-        )
-        if most < states:
-            return table, states
-        states = most + 1
+    table = StateTable(make_scheme(name, size))
+    return table, len(table.all_following())
 
 
 def drawn(steps: int, size: int, seed: int) -> tuple[Array, Integers]:

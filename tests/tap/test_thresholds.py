@@ -47,12 +47,9 @@ def carried(payload: bytes, seed: int, silence: int = 12) -> list[InferredStep]:
 
 
 def closed() -> tuple[StateTable, Array]:
-    """The scheme's table with all states known, and the initial one's probability."""
+    """The scheme's table, and the initial state's probability."""
     table = StateTable(make_scheme("switched", 2))
-    states = 1 + int(max(table.following(np.zeros(3, dtype=int), np.arange(-1, 2))))
-    for state in range(states):
-        table.following(np.full(3, state), np.arange(-1, 2))
-    return table, np.eye(states)[0]
+    return table, np.eye(len(table.all_following()))[0]
 
 
 def made(steps: list[InferredStep], entry: Array) -> Run:
