@@ -1,8 +1,8 @@
 """The study of the attacks: attack by defence by who has the key, a row each.
 
 Who has the keys is worked out, not stated. Of distilled keys she has what the copies that she heard
-give away (:func:`tap_service.eavesdroppers.key_solver.bits_held`); keys of the paper's own channel she
-reads with the eavesdropper `nearest-centre`.
+give away (:func:`tap_service.eavesdroppers.key_solver.bits_held`); keys of the paper's own channel
+she reads with the eavesdropper `nearest-centre`.
 """
 
 import hashlib

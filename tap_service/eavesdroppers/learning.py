@@ -22,18 +22,16 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
 from tap_service.eavesdroppers.reading import Reading
 from tap_service.inference.identification import identify
-from tap_service.inference.inferred import Inferred
 from tap_service.inference.list_decoding import ANY_EDGE
 from tap_service.inference.output_fit import identified
 from tap_service.inference.output_model import OutputModel
-from tap_service.inference.thresholds import Interval
+from tap_service.inference.verdicts import Inferred, Interval
 
 SMALL_OFFSET: Final = 0.1
 """Offset over half-width below which she takes the disturbance for centred."""
 
 PARAMETERS: Final = 3
 """Steps that she hears whole for each unknown of a row before she learns for the first time."""
-
 
 
 class Learning(Reading):

@@ -27,14 +27,12 @@ from tap_service.eavesdroppers.base import (
     nearest,
 )
 from tap_service.inference.expectation import expected
-from tap_service.inference.from_outputs import inferred
-from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.message_reader import SURE, Message, MessageReader, Stretch
 from tap_service.inference.message_search import BEAM
+from tap_service.inference.opening import inferred
 from tap_service.inference.output_model import OutputModel
-from tap_service.inference.thresholds import Interval
-from tap_service.inference.verdicts import verdicts_of
+from tap_service.inference.verdicts import Inferred, InferredStep, Interval, verdicts_of
 
 KEPT: Final = 4096
 """Transitions that are kept; at this many the older half goes."""
@@ -140,9 +138,9 @@ class Reading(Eavesdropper):
         self.kept.append(t)
         self._heard += 1
         gauges = model.observe(t) if isinstance(model, OutputModel) else self.gauges(t)
-        if self._live and self._listed and self.follows:
-            if self._lists.ends(_as_heard(t, gauges)):
-                self._next = self._heard
+        followed = self._live and self._listed and self.follows
+        if followed and self._lists.ends(_as_heard(t, gauges)):
+            self._next = self._heard
         if self._live and self._heard >= self._next:
             self.decode()
         if len(self.kept) >= KEPT:

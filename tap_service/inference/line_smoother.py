@@ -17,8 +17,8 @@ import numpy as np
 from protocol.arrays import Array, Indices
 from tap_service.capture.transcript import Transition
 from tap_service.inference.fitted_shape import Shape
-from tap_service.inference.inferred import InferredStep
-from tap_service.inference.planar_law import PlanarLaw
+from tap_service.inference.law import PlanarLaw
+from tap_service.inference.verdicts import InferredStep
 
 PARTICLES: Final = 640
 """Particles kept from step to step."""

@@ -27,13 +27,11 @@ from protocol.schemes.framing import (
     frame_length,
 )
 from protocol.schemes.table import StateTable
-from tap_service.inference.counts import FIRST, LAST
+from tap_service.inference.english import FIRST, LAST
 from tap_service.inference.expectation import Expectation
-from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.lattice import BEGINS, SHORT_SHARE
 from tap_service.inference.message_reader import Message, Stretch
-from tap_service.inference.thresholds import Interval, Run, weights_of
-from tap_service.inference.verdicts import DOUBT
+from tap_service.inference.verdicts import DOUBT, Inferred, InferredStep, Interval, Run, weights_of
 
 DECODED: Final = 6000
 """Pairs of thresholds that are decoded; of more those that silence and frames speak for."""

@@ -23,9 +23,8 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.convex import SetError, planar_reduce
 from tap_service.capture.transcript import Transition
-from tap_service.inference.inferred import Inferred, InferredStep, thresholds_above
-from tap_service.inference.planar_law import PlanarLaw
-from tap_service.inference.policy import KnownLaw
+from tap_service.inference.law import KnownLaw, PlanarLaw
+from tap_service.inference.verdicts import Inferred, InferredStep, thresholds_above
 
 TINY: Final = 1e-12
 

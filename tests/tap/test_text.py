@@ -25,17 +25,14 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import reading
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference import message_search
-from tap_service.inference.alignment import align
-from tap_service.inference.counts import distinct
+from tap_service.inference.english import distinct
 from tap_service.inference.expectation import expected
 from tap_service.inference.front import Inference
-from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
-from tap_service.inference.message_graph import DRAWN
-from tap_service.inference.message_halves import first_of_each
-from tap_service.inference.message_reader import Message, MessageReader
+from tap_service.inference.message_graph import DRAWN, first_of_each
+from tap_service.inference.message_reader import Message, MessageReader, align
 from tap_service.inference.message_search import BEAM, MessageSearch
-from tap_service.inference.verdicts import made_of, verdicts_of
+from tap_service.inference.verdicts import InferredStep, made_of, verdicts_of
 from tests.support.any_bytes import any_bytes
 from tests.support.held_memory import kept
 from tests.support.size import size

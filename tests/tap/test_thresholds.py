@@ -14,9 +14,8 @@ from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import Transition
 from tap_service.inference.expectation import expected
-from tap_service.inference.inferred import InferredStep
 from tap_service.inference.message_reader import MessageReader
-from tap_service.inference.thresholds import MOST, Run, likely_thresholds
+from tap_service.inference.verdicts import MOST, InferredStep, Run, likely_thresholds
 
 TRUE = 0.2
 """The threshold by which both ends agree."""
