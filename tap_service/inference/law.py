@@ -24,8 +24,6 @@ from protocol.arrays import Array, Flags, Indices
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 
-TINY: Final = 1e-9
-
 MOST_TERMS: Final = 200
 """Images of the disturbance summed at most; with more, A + B K hardly contracts."""
 

@@ -151,8 +151,6 @@ SURE: Final = 0.9
 MOST_MESSAGES: Final = 64
 """Messages looked for in one stretch."""
 
-TINY: Final = 1e-300
-
 
 @dataclass(frozen=True)
 class Message:
