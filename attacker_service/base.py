@@ -55,20 +55,18 @@ class LoopModel:
 
     def predict(self, x: Array, u: Array) -> Array:
         """A x + B u, shape (..., n), for x of shape (..., n) and u of shape (..., m)."""
-        centre: Array = x @ self.A.T + u @ self.B.T
-        return centre
+        return x @ self.A.T + u @ self.B.T
 
     def gauge(self, d: Array) -> Array:
         """The smallest t >= 0 with d in t D_c, shape (...,)."""
         rows: Array = d @ self.disturbance_H.T / self.disturbance_h
-        return np.asarray(np.maximum(rows.max(-1), 0.0))
+        return np.maximum(rows.max(-1), 0.0)
 
     @property
     def half_widths(self) -> Array:
         """How far D_c reaches along each axis, on its nearer side, shape (n,)."""
         axes = np.eye(len(self.A))
-        widths: Array = 1 / np.maximum(self.gauge(axes), self.gauge(-axes))
-        return widths
+        return 1 / np.maximum(self.gauge(axes), self.gauge(-axes))
 
 
 @dataclass(frozen=True, slots=True)

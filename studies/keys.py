@@ -12,7 +12,7 @@ from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.bound import NONCE_BITS, Assumption, quantile
 from protocol.secret.extractor import WORDS
 from studies.registry import Lines, Row, study, table
-from tap_service.inference.key_solver import bits_held
+from tap_service.eavesdroppers.key_solver import bits_held
 
 TRANSITIONS: Final = 256
 COPIES: Final = 2 * TRANSITIONS

@@ -49,8 +49,7 @@ class Covert(BusAttack):
         fits = np.clip(room.min((-2, -1), initial=1.0), 0.0, 1.0)
         added = fits[..., None] * self._u
         self._added = k, added
-        rewritten: Array = candidates + added[..., None, :]
-        return rewritten
+        return candidates + added[..., None, :]
 
     def toward_controller(self, k: int, x: Array, applied: Flags) -> Array:
         """x(k) without what Eve has done to it."""

@@ -78,6 +78,14 @@ class StateTable:
             following = self._following.ravel().take(at)
         return following
 
+    def all_following(self) -> Integers:
+        """What follows every state that there is under each verdict, shape (states, 1 + M)."""
+        number = 0
+        while number < len(self._states):
+            self._expand(number)
+            number += 1
+        return self._following[:number]
+
     def agreed(self, states: Integers, verdicts: Integers) -> Integers:
         """The key symbols gained, of states and verdicts that were followed before."""
         agreed: Integers = self._agreed[states, verdicts + 1]

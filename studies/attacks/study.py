@@ -1,8 +1,8 @@
 """The study of the attacks: attack by defence by who has the key, a row each.
 
 Who has the keys is worked out, not stated. Of distilled keys she has what the copies that she heard
-give away (:func:`tap_service.inference.key_solver.bits_held`); keys of the paper's own channel she
-reads with the eavesdropper `nearest-centre`.
+give away (:func:`tap_service.eavesdroppers.key_solver.bits_held`); keys of the paper's own channel
+she reads with the eavesdropper `nearest-centre`.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from studies.attacks.attacked import KEY_BITS, ONSET, Attacked, Keys, attack_run
 from studies.registry import study
 from studies.signalling import changed
 from tap_service import eavesdroppers
-from tap_service.inference.key_solver import bits_held
+from tap_service.eavesdroppers.key_solver import bits_held
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import transcript
 

@@ -24,11 +24,16 @@ from protocol.schemes.framing import Deframer
 from protocol.schemes.registry import make_scheme, scheme_named
 from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
-from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 
 if TYPE_CHECKING:
     from tap_service.inference.opening import Opening
     from tap_service.inference.output_model import OutputModel
+
+KEPT_SYMBOLS: Final = 32768
+"""Message symbols that a belief keeps, the newest."""
+
+KEPT_MESSAGES: Final = 64
+"""Whole messages that a belief keeps, the newest."""
 
 IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
@@ -485,7 +490,7 @@ def opening_of(model: "Model | OutputModel", size: int, *, certain: bool) -> "Op
     return Opening(model, size)
 
 
-def nearest(gauges: list[float]) -> tuple[float, ...]:
+def nearest(gauges: Sequence[float]) -> Vector:
     """All probability on the nearest candidate; shared among equals."""
     smallest = min(gauges)
     share = 1.0 / gauges.count(smallest)

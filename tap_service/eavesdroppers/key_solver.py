@@ -21,7 +21,7 @@ from protocol.schemes.framing import Deframer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.extractor import extract
 from protocol.secret.key_digits import digits
-from protocol.secret.nonces import as_bytes
+from protocol.secret.nonces import NONCE_BYTES, as_bytes
 from protocol.secret.stream import NOWHERE, Position
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
@@ -34,7 +34,6 @@ from tap_service.eavesdroppers.base import (
     MessageSymbols,
     even,
 )
-from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, Audit, worst
 
 KEPT_BLOCKS: Final = 64
@@ -48,6 +47,16 @@ KEPT_STEPS: Final = 8192
 """Steps of a session that are kept until they are settled: more than a transcript bridges."""
 
 BOTH: Final = ("measurements", "offers")
+
+
+def bits_held(rows: int, missed: int) -> int:
+    """Bits that one who missed so many of a block's counted copies can compute of its rows.
+
+    Of R rows from copies of which she missed e she can compute R - e combinations, as every square
+    part of the Cauchy matrix can be inverted: none where e is R, and no row by itself where e is
+    not 0.
+    """
+    return 8 * NONCE_BYTES * max(0, rows - missed)
 
 
 @dataclass(slots=True)

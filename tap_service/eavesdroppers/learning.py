@@ -22,11 +22,10 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
 from tap_service.eavesdroppers.reading import Reading
 from tap_service.inference.identification import identify
-from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.list_decoding import ANY_EDGE
 from tap_service.inference.output_fit import identified
 from tap_service.inference.output_model import OutputModel
-from tap_service.inference.thresholds import Interval
+from tap_service.inference.verdicts import Inferred, Interval
 
 SMALL_OFFSET: Final = 0.1
 """Offset over half-width below which she takes the disturbance for centred."""
@@ -34,20 +33,20 @@ SMALL_OFFSET: Final = 0.1
 PARAMETERS: Final = 3
 """Steps that she hears whole for each unknown of a row before she learns for the first time."""
 
-AMONG: Final = (0.98, 2.0)
-"""t_c from and to, over the support that she found: the disturbance fills half its set at least."""
-
 
 class Learning(Reading):
     """Identifies the model as she listens, and decodes her past again with what she learned."""
 
     name: ClassVar[str] = "learning"
     told_model: ClassVar[bool] = False
+    among: ClassVar[Interval] = (0.98, 2.0)
+    """Over the support that she found: the disturbance fills half its set at least."""
+
     edges: ClassVar[Interval] = ANY_EDGE
     first: ClassVar[int] = 8
 
-    def __init__(self, knowledge: Knowledge, *, live: bool = True) -> None:
-        super().__init__(knowledge, live=live)
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
         self._offset = np.zeros(0)
         if knowledge.A is not None and knowledge.B is not None and knowledge.C is None:
             widths = (1.0,) * len(knowledge.A)
@@ -72,12 +71,7 @@ class Learning(Reading):
             unknowns = len(whole[0].x) + len(whole[0].candidates[0]) + 1
             if len(whole) >= PARAMETERS * unknowns:
                 self._learn(whole)
-        gauges = [self.gauges(t) for t in self.kept]
-        steps = [
-            InferredStep(t, None if row is None else np.array([row]))
-            for t, row in zip(self.kept, gauges, strict=True)
-        ]
-        return Inferred(steps, AMONG)
+        return super().infer()
 
     def _learn(self, whole: list[Transition]) -> None:
         """Identify the model from steps that were heard whole."""

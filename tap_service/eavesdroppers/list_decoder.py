@@ -9,13 +9,9 @@ step counts as one without an agreement.
 
 from typing import ClassVar
 
-import numpy as np
-
 from protocol.knowledge import Knowledge
-from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
 from tap_service.eavesdroppers.reading import Reading
-from tap_service.inference.inferred import Inferred, InferredStep
 
 
 class ListDecoder(Reading):
@@ -24,17 +20,6 @@ class ListDecoder(Reading):
     name: ClassVar[str] = "list-decoder"
     follows: ClassVar[bool] = True
 
-    def __init__(self, knowledge: Knowledge, *, live: bool = True) -> None:
-        super().__init__(knowledge, live=live)
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
         self.model = Model.of(knowledge, self.name)
-        self._steps: list[InferredStep] = []
-
-    def infer(self) -> Inferred:
-        """The gauges of the steps that were heard whole."""
-        known = {id(step.transition): step for step in self._steps}
-        self._steps = [known.get(id(t)) or self._step(t) for t in self.kept]
-        return Inferred(self._steps, (0.0, 1.0))
-
-    def _step(self, t: Transition) -> InferredStep:
-        gauges = self.gauges(t)
-        return InferredStep(t, None if gauges is None else np.array([gauges]))

@@ -97,16 +97,11 @@ class NearestCentre(Following):
             ]
             off = [tuple(map(sub, x_next, centre)) for centre in centres]
             gauges = [deviation(v, deviations) for v in off]
-        nearest = min(gauges)
-        ties = gauges.count(nearest)
-        self._largest = max(self._largest, nearest)
+        least = min(gauges)
+        self._largest = max(self._largest, least)
         threshold = MARGIN * self._largest
         inside = sum(g <= threshold for g in gauges)
         agreed = settled and (self.certain or (inside == 1 and max(gauges) <= 1.0))
-        symbol = gauges.index(nearest)
-        follows = symbol if agreed else NO_SYMBOL
-        if ties > 1:
-            share = 1.0 / ties
-            return follows, Guess(t.k, tuple(share if g == nearest else 0.0 for g in gauges), 0.0)
-        certain = tuple(1.0 if i == symbol else 0.0 for i in range(len(gauges)))
-        return follows, Guess(t.k, certain, 1.0 if agreed else 0.0)
+        sure = agreed and gauges.count(least) == 1
+        symbol = gauges.index(least) if agreed else NO_SYMBOL
+        return symbol, Guess(t.k, nearest(gauges), float(sure))

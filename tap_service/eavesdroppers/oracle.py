@@ -12,7 +12,7 @@ from protocol.agreement import AgreementRule, Gauge
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Following, Guess, KnowledgeError
+from tap_service.eavesdroppers.base import Belief, Following, Guess, KnowledgeError, nearest
 
 
 class Oracle(Following):
@@ -55,9 +55,7 @@ class Oracle(Following):
         else:
             verdict = self._rule.verdict(x, candidates, x_next)
         agreed = verdict.agreed and self.follower.tests
-        symbol = verdict.gauges.index(min(verdict.gauges))
-        certain = tuple(1.0 if i == symbol else 0.0 for i in range(len(verdict.gauges)))
-        return verdict.symbol, Guess(t.k, certain, float(agreed))
+        return verdict.symbol, Guess(t.k, nearest(verdict.gauges), float(agreed))
 
     def belief(self) -> Belief:
         """The message, as the plant has it."""

@@ -7,7 +7,6 @@ where every step is known but for the thresholds, by every decoding that these l
 alone are read it is how many of a session's first steps the two ends lost that is not known.
 """
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar, Final
@@ -17,6 +16,8 @@ import numpy as np
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
+    KEPT_MESSAGES,
+    KEPT_SYMBOLS,
     Belief,
     Eavesdropper,
     Guess,
@@ -26,15 +27,12 @@ from tap_service.eavesdroppers.base import (
     nearest,
 )
 from tap_service.inference.expectation import expected
-from tap_service.inference.from_outputs import inferred
-from tap_service.inference.inferred import Inferred, InferredStep
-from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.message_reader import SURE, Message, MessageReader, Stretch
 from tap_service.inference.message_search import BEAM
+from tap_service.inference.opening import inferred
 from tap_service.inference.output_model import OutputModel
-from tap_service.inference.thresholds import Interval
-from tap_service.inference.verdicts import verdicts_of
+from tap_service.inference.verdicts import Inferred, InferredStep, Interval, verdicts_of
 
 KEPT: Final = 4096
 """Transitions that are kept; at this many the older half goes."""
@@ -71,8 +69,11 @@ class Reading(Eavesdropper):
     growth: ClassVar[float] = 1.25
     """She reads anew when she has heard this many times as much."""
 
+    among: ClassVar[Interval] = (0.0, 1.0)
+    """t_c from and to, in units of the gauges, where :meth:`infer` is not another."""
+
     edges: ClassVar[Interval] = (1.0, 1.0)
-    """t_e from and to, in units of the gauges."""
+    """The same of t_e."""
 
     def __init__(
         self,
@@ -104,9 +105,9 @@ class Reading(Eavesdropper):
 
     # --- how she infers ---------------------------------------------------------------------------
 
-    @abstractmethod
     def infer(self) -> Inferred:
-        """What each step of :attr:`kept` may have been."""
+        """What each step of :attr:`kept` may have been: as it was heard, if it was heard whole."""
+        return Inferred([_as_heard(t, self.gauges(t)) for t in self.kept], self.among)
 
     def output_model(self) -> OutputModel | None:
         """Her model of what is kept, where outputs are read; None where that is too little."""
@@ -137,10 +138,9 @@ class Reading(Eavesdropper):
         self.kept.append(t)
         self._heard += 1
         gauges = model.observe(t) if isinstance(model, OutputModel) else self.gauges(t)
-        if self._live and self._listed and self.follows:
-            step = InferredStep(t, None if gauges is None else np.array([gauges]))
-            if self._lists.ends(step):
-                self._next = self._heard
+        followed = self._live and self._listed and self.follows
+        if followed and self._lists.ends(_as_heard(t, gauges)):
+            self._next = self._heard
         if self._live and self._heard >= self._next:
             self.decode()
         if len(self.kept) >= KEPT:
@@ -292,3 +292,7 @@ class Reading(Eavesdropper):
         session = self.kept[-1].session if self.kept else ""
         symbols = sorted((k, s) for (at, k), s in self._symbols.items() if at == session)
         return symbols[-KEPT_SYMBOLS:]
+
+
+def _as_heard(t: Transition, gauges: list[float] | None) -> InferredStep:
+    return InferredStep(t, None if gauges is None else np.array([gauges]))

@@ -17,10 +17,10 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
 from tap_service.eavesdroppers.reading import Reading
 from tap_service.inference.front import Inference
-from tap_service.inference.inferred import Inferred
 from tap_service.inference.message_search import BEAM
 from tap_service.inference.output_fit import refitted
 from tap_service.inference.output_model import OutputModel
+from tap_service.inference.verdicts import Inferred
 
 
 class Text(Reading):

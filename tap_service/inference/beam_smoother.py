@@ -18,11 +18,81 @@ import numpy as np
 
 from protocol.arrays import Array, Flags, Indices, Integers
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.affine_law import ANYTHING, AffineLaw, Item
-from tap_service.inference.bounded import BoundedRows
 from tap_service.inference.fitted_shape import Shape, residuals_of
-from tap_service.inference.inferred import InferredStep
-from tap_service.inference.planar_law import PlanarLaw
+from tap_service.inference.law import ANYTHING, AffineLaw, Item, PlanarLaw
+from tap_service.inference.verdicts import InferredStep
+
+CELLS: Final = 1024
+"""Of a density, over four times its support."""
+
+NEVER: Final = -30.0
+"""Log ratio of what cannot be."""
+
+GAUSSIAN: Final = 0.7
+"""Deviation of an error, over the reach of a disturbance, from which their sum is as Gaussian."""
+
+STEPS: Final = 12.0
+"""Deviations of errors are told apart by a twelfth of a doubling."""
+
+
+class BoundedRows:
+    """Readings C d + e: d even over a box, e Gaussian; their densities over the Gaussian ones.
+
+    Row by row, so that it is exact where e is small and rows are coordinates.
+
+    Parameters
+    ----------
+    C : array, shape (r, n)
+    reach : array, shape (n,)
+    """
+
+    def __init__(self, C: Array, reach: Array) -> None:
+        self._reach = (np.abs(C) * reach).sum(axis=1)
+        self._widths = np.abs(C) * reach
+        self._tables: dict[tuple[int, int], tuple[Array, Array]] = {}
+
+    def log_ratio(self, off: Array, wide: Array) -> Array:
+        """Log of the density over the Gaussian's, summed over rows; shape (...,).
+
+        Parameters
+        ----------
+        off : array, shape (..., r)
+        wide : array, shape (..., r)
+            Deviation of e, or what broadcasts to it.
+        """
+        out = np.zeros(off.shape[:-1])
+        for r, reach in enumerate(self._reach):
+            least = 16 * reach / CELLS
+            level = STEPS * np.log2(np.maximum(wide[..., r], least) / reach)
+            level = np.round(np.minimum(level, STEPS)).astype(int)
+            level = np.broadcast_to(level, out.shape)
+            for step in np.unique(level).tolist():
+                deviation = reach * 2 ** (step / STEPS)
+                if deviation < GAUSSIAN * reach:
+                    mine = level == step
+                    at, log = self._table(r, step, deviation)
+                    out[mine] += np.interp(off[mine, r], at, log, left=NEVER, right=NEVER)
+        return out
+
+    def _table(self, r: int, step: int, deviation: float) -> tuple[Array, Array]:
+        """Places and the log ratio there."""
+        if (r, step) not in self._tables:
+            reach, widths = self._reach[r], self._widths[r]
+            length = 8 * reach
+            grid = 2 * np.pi * np.fft.rfftfreq(CELLS, length / CELLS)
+            wave = np.prod(np.sinc(np.outer(widths, grid) / np.pi), axis=0)
+            wave = wave * np.exp(-0.5 * (grid * deviation) ** 2)
+            density = np.fft.fftshift(np.fft.irfft(wave, CELLS)) * CELLS / length
+            at = (np.arange(CELLS) - CELLS // 2) * length / CELLS
+            variance = (widths**2).sum() / 3 + deviation**2
+            gauss = -0.5 * at**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+            # beyond the support it falls as a Gaussian of the other deviation
+            beyond = np.maximum(np.abs(at) - reach, 0.0) / deviation
+            least = -0.5 * beyond**2 - np.log(2 * reach) + np.where(beyond > 0, -1.0, 0.0)
+            log = np.where(density > 1e-6 / reach, np.log(np.maximum(density, 1e-300)), least)
+            self._tables[r, step] = at, np.maximum(log - gauss, NEVER)
+        return self._tables[r, step]
+
 
 PARTS: Final = 192
 """Gaussians kept from step to step."""
@@ -237,7 +307,7 @@ class BeamSmoother:
         if self._noise or len(whole) < ENOUGH:
             return False
         left = residuals_of(self._A, self._B, whole)
-        gauges = self._gauges(left)
+        gauges = self._shape.gauges(left)
         nearest = left[np.arange(len(whole)), gauges.argmin(axis=1)]
         self.support = float(gauges.min(axis=1).max()) * (1 + 2 / len(whole))
         self._spread(np.abs(nearest).max(axis=0) * (1 + 2 / len(whole)))
@@ -469,7 +539,7 @@ class BeamSmoother:
                 continue
             drawn, gauges = self._back(now, ways, drawn)
             if t.whole and not self._noise:
-                gauges = self._gauges(residuals_of(self._A, self._B, [t]))
+                gauges = self._shape.gauges(residuals_of(self._A, self._B, [t]))
             steps.append(InferredStep(t, gauges))
         return steps[::-1]
 
@@ -483,8 +553,7 @@ class BeamSmoother:
         """Draws of covariances ``P``, shape (..., n, n)."""
         values, vectors = np.linalg.eigh(P)
         z = np.sqrt(np.maximum(values, 0.0)) * self._rng.standard_normal(values.shape)
-        out: Array = np.einsum("...ij,...j->...i", vectors, z)
-        return out
+        return np.einsum("...ij,...j->...i", vectors, z)
 
     def _back(self, now: Mixture, ways: Sequence[Move], after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, n), and the gauges of that step, shape (S, M)."""
@@ -530,12 +599,7 @@ class BeamSmoother:
             blur *= np.sqrt(2) * (error[way, part] * misread)[:, None, None]
             blur[np.arange(count), choice] = 0.0
             apart = apart + blur
-        return x, self._gauges(d[:, None] + apart)
-
-    def _gauges(self, residuals: Array) -> Array:
-        """Of residuals of shape (..., M, n)."""
-        gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=-1), 0.0)
-        return self._shape.bounded(gauges, residuals)
+        return x, self._shape.gauges(d[:, None] + apart)
 
 
 @dataclass(frozen=True)
@@ -573,8 +637,7 @@ def _log_normal(off: Array, S: Array) -> Array:
     found = np.maximum(
         np.einsum("...i,...i->...", off, np.linalg.solve(S, off[..., None])[..., 0]), 0.0
     )
-    out: Array = -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
-    return out
+    return -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
 
 
 def _deviations(P: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Array, Flags, Indices
-from tap_service.inference.counts import (
+from tap_service.inference.english import (
     BASE,
     CLASSES,
     FIRST,
@@ -27,8 +27,9 @@ from tap_service.inference.counts import (
     Counted,
     class_named,
     distinct,
+    english,
+    languages,
 )
-from tap_service.inference.english import english, languages
 
 ANY_BYTE: Final = 0.002
 """Probability that a byte of prose is any byte at all."""

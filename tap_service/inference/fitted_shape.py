@@ -62,8 +62,7 @@ def fitted_widths(along: Array) -> Array:
 
 def nearest(along: Array) -> Counts:
     """The candidate of least gauge, of each step; ``along`` as in :func:`fitted_widths`."""
-    out: Counts = np.maximum(0.0, along.max(axis=2)).argmin(axis=1)
-    return out
+    return np.maximum(0.0, along.max(axis=2)).argmin(axis=1)
 
 
 def settled_widths(along: Array, choice: Counts) -> Array:
@@ -88,8 +87,7 @@ def both_ways(rows: Array, reach: Array) -> Array:
         What was seen along each.
     """
     opposite = np.abs(rows[:, None] + rows).max(axis=2) < OPPOSITE
-    out: Array = np.maximum(reach, np.where(opposite, reach, -np.inf).max(axis=1))
-    return out
+    return np.maximum(reach, np.where(opposite, reach, -np.inf).max(axis=1))
 
 
 @dataclass(frozen=True)
@@ -107,28 +105,24 @@ class Shape:
     rows: Array
     told: Array | None = None
 
-    def bounded(self, gauges: Array, residuals: Array) -> Array:
-        """Gauges, the largest of a step infinite where D_e does not hold all its candidates.
+    def gauges(self, residuals: Array) -> Array:
+        """Gauges of residuals of shape (..., M, n).
 
-        Parameters
-        ----------
-        gauges : array, shape (..., M)
-        residuals : array, shape (..., M, n)
+        The largest of a step is infinite where D_e does not hold all its candidates.
         """
+        gauges = np.maximum((residuals @ self.rows.T).max(axis=-1), 0.0)
         if self.told is None:
             return gauges
         outside = (residuals @ self.told.T).max(axis=(-2, -1)) > 1.0
         largest = gauges == gauges.max(axis=-1, keepdims=True)
-        out: Array = np.where(largest & outside[..., None], np.inf, gauges)
-        return out
+        return np.where(largest & outside[..., None], np.inf, gauges)
 
 
 def residuals_of(A: Array, B: Array, whole: Sequence[Transition]) -> Array:
     """x(k+1) less each candidate's prediction, of steps heard whole; shape (steps, M, n)."""
     x, after = np.array([t.x for t in whole]), np.array([t.x_next for t in whole])
     u = np.array([t.candidates for t in whole])
-    out: Array = (after - x @ A.T)[:, None] - u @ B.T
-    return out
+    return (after - x @ A.T)[:, None] - u @ B.T
 
 
 def likelier_shape(

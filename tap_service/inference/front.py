@@ -17,7 +17,6 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.affine_law import AffineLaw
 from tap_service.inference.beam_smoother import BeamSmoother
 from tap_service.inference.fitted_shape import (
     SMALLEST,
@@ -26,11 +25,10 @@ from tap_service.inference.fitted_shape import (
     likelier_shape,
     residuals_of,
 )
-from tap_service.inference.inferred import Inferred, thresholds_above
+from tap_service.inference.law import AffineLaw, KnownLaw, PlanarLaw, matching
 from tap_service.inference.line_smoother import LineSmoother
-from tap_service.inference.planar_law import PlanarLaw, matching
-from tap_service.inference.policy import KnownLaw
 from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
+from tap_service.inference.verdicts import Inferred, thresholds_above
 
 ENOUGH: Final = 16
 """Steps heard whole from which the disturbance is measured."""
@@ -103,10 +101,7 @@ class Inference:
         """Of each candidate of a step heard whole, in a shape that was learned; None before."""
         if self._shape.told is None:
             return None
-        residuals = residuals_of(self._A, self._B, [t])[0]
-        gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=1), 0.0)
-        found: list[float] = self._shape.bounded(gauges, residuals).tolist()
-        return found
+        return self._shape.gauges(residuals_of(self._A, self._B, [t])[0]).tolist()
 
     def infer(self, transitions: Sequence[Transition]) -> Inferred:
         """Infer the transcript that is kept, in one call."""

@@ -119,23 +119,20 @@ def _regress(phi: Array, y: Array, weight: Array | None = None) -> Array:
     scaled = phi / scale
     left = scaled if weight is None else scaled * weight[:, None]
     gram = left.T @ scaled + 1e-9 * len(phi) * np.eye(phi.shape[1])
-    theta: Array = np.linalg.solve(gram, left.T @ y) / scale[:, None]
-    return theta
+    return np.linalg.solve(gram, left.T @ y) / scale[:, None]
 
 
 def _residuals(x: Array, candidates: Array, x_next: Array, theta: Array) -> Array:
     """Residual of every candidate, shape (N, M, n)."""
     n = x.shape[1]
     base = x_next - x @ theta[:n] - theta[-1]
-    out: Array = base[:, None, :] - candidates @ theta[n:-1]
-    return out
+    return base[:, None, :] - candidates @ theta[n:-1]
 
 
 def _choose(x: Array, candidates: Array, x_next: Array, theta: Array, widths: Array) -> Choice:
     """The candidate with the smallest residual in the shape of ``widths``."""
     size = (np.abs(_residuals(x, candidates, x_next, theta)) / widths).max(axis=2)
-    choice: Choice = size.argmin(axis=1)
-    return choice
+    return size.argmin(axis=1)
 
 
 def _expect(x: Array, candidates: Array, x_next: Array, theta: Array) -> tuple[Array, Array, float]:

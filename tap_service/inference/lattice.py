@@ -78,10 +78,7 @@ class Lattice:
             carried = (ciphers - pads[e]) % M
             for m in range(M):
                 emit[m, heard, e] = M * (carried[heard] == m)
-        following = np.array(
-            [[int(table.following(np.array([e]), np.array([v]))[0]) for v in range(-1, M)]
-             for e in range(E)]
-        )  # fmt: skip
+        following = table.all_following()
         carries = pads >= 0
         now = np.zeros((K, E, E))  # begun in (k, e), now in f after g steps, nothing carried
         now[:, np.arange(E), np.arange(E)] = 1.0
@@ -152,8 +149,7 @@ class Lattice:
             out = np.einsum("egf,gf->e", idle, o) + np.einsum("egf,gf->e", start, i) + end
             inside = np.einsum("egf,gf->e", self.uniform[k][:, :reach], (1 - ENDS) * i + ENDS * o)
             both[0, k], both[1, k] = _log(out) + level, _log(inside + end) + level
-        weights: Array = both[0]
-        return weights
+        return both[0]
 
     def ahead(self, outside: Array, symbols: int) -> Narrow:
         """Log weight of all that follows where ``symbols`` of any kind end the message.
@@ -215,5 +211,4 @@ class Lattice:
 
 def _log(values: Array) -> Array:
     """The logarithm, of nothing too."""
-    out: Array = np.log(np.maximum(values, TINY))
-    return out
+    return np.log(np.maximum(values, TINY))

@@ -17,8 +17,8 @@ import numpy as np
 from protocol.arrays import Array, Indices
 from tap_service.capture.transcript import Transition
 from tap_service.inference.fitted_shape import Shape
-from tap_service.inference.inferred import InferredStep
-from tap_service.inference.planar_law import PlanarLaw
+from tap_service.inference.law import PlanarLaw
+from tap_service.inference.verdicts import InferredStep
 
 PARTICLES: Final = 640
 """Particles kept from step to step."""
@@ -112,8 +112,7 @@ class LineSmoother:
     def _predictions(self, x: Array, t: Transition) -> Array:
         """Predictions of every particle under every candidate, shape (N, M, 2)."""
         u = self._inputs(x, t)
-        out: Array = (x @ self._A.T)[:, None] + u[:, :, None] * self._b
-        return out
+        return (x @ self._A.T)[:, None] + u[:, :, None] * self._b
 
     def _picked(self, weights: Array, count: int) -> Indices:
         """Places drawn by weights, one from each of as many equal shares.
@@ -122,8 +121,7 @@ class LineSmoother:
         """
         share = weights.cumsum()
         at = (np.arange(count) + self._rng.random(count)) * (share[-1] / count)
-        places: Indices = np.minimum(np.searchsorted(share, at), len(weights) - 1)
-        return places
+        return np.minimum(np.searchsorted(share, at), len(weights) - 1)
 
     def _even(self, count: int) -> Array:
         """Disturbances drawn evenly over the support."""
@@ -168,8 +166,7 @@ class LineSmoother:
         if state is None:
             return np.ones(len(x))
         z = (x - state) / self._noise
-        out: Array = np.exp(-0.5 * (z * z).sum(axis=1)) / (2 * np.pi * self._noise**2)
-        return out
+        return np.exp(-0.5 * (z * z).sum(axis=1)) / (2 * np.pi * self._noise**2)
 
     def _thinned(self, x: Array, w: Array) -> Cloud:
         if len(x) > self._count:
@@ -363,8 +360,7 @@ class LineSmoother:
         predictions = self._predictions(x, t)
         size = predictions.shape[1]
         picked = self._picked(np.repeat(w / size, size), count)
-        out: Array = predictions.reshape(-1, 2)[picked] + self._even(count)
-        return out
+        return predictions.reshape(-1, 2)[picked] + self._even(count)
 
     def _by_law(self, transitions: Sequence[Transition]) -> list[InferredStep]:
         clouds, _ = self._forward(transitions)
@@ -404,14 +400,14 @@ class LineSmoother:
         predictions = (blurred(t.x) @ self._A.T)[:, None] + u[:, :, None] * self._b
         d = blurred(t.x_next)[:, None] - predictions
         inside = _largest(d, self._rows).min(axis=1) <= 1
-        return self._gauges(d[inside] if inside.any() else d)
+        return self._shape.gauges(d[inside] if inside.any() else d)
 
     def _back(self, cloud: Cloud, t: Transition, after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""
         x, w = cloud
         predictions = self._predictions(x, t)
         if len(x) == 1:
-            gauges = self._gauges(after[:, None] - predictions)
+            gauges = self._shape.gauges(after[:, None] - predictions)
             if len(after) == 1 or t.x is None:
                 return np.tile(x, (len(after), 1)), gauges
             return x, gauges
@@ -427,10 +423,7 @@ class LineSmoother:
         none = np.flatnonzero(~fits.any(axis=1))
         if len(none):
             chosen[none] = self._of_all(predictions, w, after[none])
-        return x[chosen], self._gauges(after[:, None] - predictions[chosen])
-
-    def _gauges(self, residuals: Array) -> Array:
-        return self._shape.bounded(_largest(residuals, self._shape.rows), residuals)
+        return x[chosen], self._shape.gauges(after[:, None] - predictions[chosen])
 
     def _of_all(self, predictions: Array, w: Array, after: Array) -> Indices:
         """Which particle led to each state, drawn from all."""
@@ -443,8 +436,7 @@ class LineSmoother:
         share = weights.cumsum(axis=1)
         at = self._rng.random((len(after), 1)) * share[:, -1:]
         chosen = (share < at).sum(axis=1) // predictions.shape[1]
-        out: Indices = np.minimum(chosen, len(w) - 1)
-        return out
+        return np.minimum(chosen, len(w) - 1)
 
 
 def _largest(d: Array, rows: Array) -> Array:

@@ -27,13 +27,11 @@ from protocol.schemes.framing import (
     frame_length,
 )
 from protocol.schemes.table import StateTable
-from tap_service.inference.counts import FIRST, LAST
+from tap_service.inference.english import FIRST, LAST
 from tap_service.inference.expectation import Expectation
-from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.lattice import BEGINS, SHORT_SHARE
-from tap_service.inference.message_reader import Message, Stretch, states_of
-from tap_service.inference.thresholds import Interval, Run, weights_of
-from tap_service.inference.verdicts import DOUBT
+from tap_service.inference.message_reader import Message, Stretch
+from tap_service.inference.verdicts import DOUBT, Inferred, InferredStep, Interval, Run, weights_of
 
 DECODED: Final = 6000
 """Pairs of thresholds that are decoded; of more those that silence and frames speak for."""
@@ -223,7 +221,7 @@ class ListDecoding:
 
     def __init__(self, scheme: Scheme[Any], language: Any, *, certain: bool) -> None:
         self._table = StateTable(scheme)
-        self._size, self._states = scheme.alphabet, states_of(self._table)
+        self._size, self._states = scheme.alphabet, len(self._table.all_following())
         self._language, self._certain = language, certain
         self._state = -1
         self._past = b""  # symbols of the frame that was under way before the first step
@@ -470,7 +468,7 @@ def _some(values: Array, most: int) -> Array:
     if len(values) <= most:
         return values
     at = np.unique(np.linspace(0, len(values) - 1, most).astype(int))
-    return np.asarray(values[at])
+    return values[at]
 
 
 def _about(values: Array, some: Array, best: Array) -> Array:
@@ -479,7 +477,7 @@ def _about(values: Array, some: Array, best: Array) -> Array:
     high = np.searchsorted(some, best.max()) + 1
     first = some[max(low, 0)]
     last = some[high] if high < len(some) else values[-1]
-    return np.asarray(values[(values >= first) & (values <= last)])
+    return values[(values >= first) & (values <= last)]
 
 
 def _hull(values: Array, best: Array) -> Interval:

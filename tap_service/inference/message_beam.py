@@ -205,7 +205,7 @@ class Growth:
         below = self._next[rows, at]
         rest = self._next[rows, np.minimum(at + 1, 256)] - below
         below += np.clip(part.astype(float), 0.0, 1.0) * rest
-        return np.asarray(np.diff(below, axis=1))
+        return np.diff(below, axis=1)
 
     def _bytes(self, beam: Beam, j: int, size: Array) -> None:
         """Take the bytes that have become certain; numbers are then counted from them."""

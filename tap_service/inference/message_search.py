@@ -33,9 +33,10 @@ from tap_service.inference.message_graph import (
     Drawn,
     Graph,
     check_symbols,
+    first_of_each,
+    join,
     judge,
 )
-from tap_service.inference.message_halves import first_of_each, join
 
 BEAM: Final = 3000
 """Hypotheses kept from symbol to symbol."""

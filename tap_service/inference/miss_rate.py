@@ -10,7 +10,7 @@ she has heard one, and again once she has missed :data:`AWAY` in a row until she
 a copy is left out is decided before it is sent, so those that are left in are as the claim says.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import exp, inf, lgamma, log
 from typing import Final, NamedTuple
 
@@ -133,24 +133,6 @@ class Audit:
     def judge(self) -> dict[str, MissRate]:
         """By class."""
         return {name: misses.judge() for name, misses in self._classes.items()}
-
-
-def miss_rate(missed: Iterable[bool], claim: float, alpha: float = ALPHA) -> MissRate:
-    """Judge her misses of one class, in the order in which the copies were sent.
-
-    Parameters
-    ----------
-    missed : iterable of bool
-        For each copy 0 whether she missed it.
-    claim : float
-        eps_E.
-    alpha : float
-        Chance that either verdict on an honest run is ever wrong.
-    """
-    misses = Misses(claim, alpha)
-    for one in missed:
-        misses.add(missed=one)
-    return misses.judge()
 
 
 def worst(rates: Mapping[str, MissRate]) -> tuple[str, MissRate]:

@@ -150,8 +150,7 @@ def fitted_deviations(
 
 
 def _first(n: int, size: int) -> Array:
-    out: Array = (np.arange(size) < n).astype(float)
-    return out
+    return (np.arange(size) < n).astype(float)
 
 
 def _newest(parts: Sequence[Stretch]) -> list[Stretch]:

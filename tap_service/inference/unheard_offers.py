@@ -23,9 +23,8 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.convex import SetError, planar_reduce
 from tap_service.capture.transcript import Transition
-from tap_service.inference.inferred import Inferred, InferredStep, thresholds_above
-from tap_service.inference.planar_law import PlanarLaw
-from tap_service.inference.policy import KnownLaw
+from tap_service.inference.law import KnownLaw, PlanarLaw
+from tap_service.inference.verdicts import Inferred, InferredStep, thresholds_above
 
 TINY: Final = 1e-12
 
@@ -140,14 +139,12 @@ class Fit:
     @property
     def explained(self) -> Array:
         """Probability that v explains a move, shape (K, 1); never quite 0."""
-        out: Array = np.maximum(self.shares.sum(axis=1, keepdims=True), TINY)
-        return out
+        return np.maximum(self.shares.sum(axis=1, keepdims=True), TINY)
 
     @property
     def offset(self) -> Array:
         """The offset expected of each move, shape (K, m)."""
-        out: Array = self.scale * (self.shares @ self.unit) / self.explained
-        return out
+        return self.scale * (self.shares @ self.unit) / self.explained
 
 
 class Moves:
@@ -336,8 +333,7 @@ def _draws(share: Array) -> Array:
     """Gauges of which the least are as often each symbol's as its probability says."""
     edges = np.cumsum(share + (1 - share.sum()) / len(share))
     choice = np.searchsorted(edges, (np.arange(SAMPLES) + 0.5) / SAMPLES * edges[-1])
-    out: Array = 1.0 - np.eye(len(share))[choice]
-    return out
+    return 1.0 - np.eye(len(share))[choice]
 
 
 def _by_costs(
@@ -349,8 +345,7 @@ def _by_costs(
     def gauges(width: float) -> Array:
         offers = free if planar is None else planar.of_width(width).offers(x)[:, :, None]
         residual = moved[:, None] - offers @ B.T
-        out: Array = np.maximum((residual @ shape.T).max(axis=2), 0.0)
-        return out
+        return np.maximum((residual @ shape.T).max(axis=2), 0.0)
 
     def left(width: float) -> float:
         return float(np.quantile(gauges(width).min(axis=1), BULK))

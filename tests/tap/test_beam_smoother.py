@@ -11,10 +11,10 @@ from studies.eavesdroppers import LOSS, MEASUREMENTS, OFFERS
 from studies.listeners import heard_of
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.inference.affine_law import AffineLaw
 from tap_service.inference.beam_smoother import BeamSmoother
 from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.front import Inference
+from tap_service.inference.law import AffineLaw
 from tap_service.inference.verdicts import verdicts_of
 from tests.support.shipped_run import shipped_run
 from wyner.simulate.engine import transfer

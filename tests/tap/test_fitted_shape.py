@@ -68,12 +68,12 @@ def test_a_set_of_another_shape_is_found_and_orders_the_candidates(seed: int) ->
     # what D_e holds is at most 1, and what it does not hold is no longer possible
     inside = (residuals @ TOLD.T).max(axis=(1, 2)) <= 1
     assert inside.any()
-    bounded = shape.bounded(gauges, residuals).max(axis=1)
+    bounded = shape.gauges(residuals).max(axis=1)
     assert (bounded[inside] <= 1).all()
     far = residuals * 5
     outside = (far @ TOLD.T).max(axis=(1, 2)) > 1
     assert outside.any()
-    told = shape.bounded((far @ shape.rows.T).max(axis=2), far)
+    told = shape.gauges(far)
     assert (np.isinf(told.max(axis=1)) == outside).all()
     assert (told.argmin(axis=1) == (far @ shape.rows.T).max(axis=2).argmin(axis=1)).all()
 

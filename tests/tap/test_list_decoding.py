@@ -11,10 +11,9 @@ from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
 from tap_service.capture.transcript import Transition
 from tap_service.inference.expectation import expected
-from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.list_decoding import ANY_EDGE, Heard, ListDecoding, parsed
 from tap_service.inference.message_reader import Message
-from tap_service.inference.thresholds import Interval
+from tap_service.inference.verdicts import Inferred, InferredStep, Interval
 
 STEP = tuple[list[float], int | None]
 

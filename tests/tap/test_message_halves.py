@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES
-from tap_service.inference.message_halves import Halves, join
+from tap_service.inference.message_graph import Halves, join
 
 FIRST = (b"the mill", b"the hill", b"the bill", b"the well")
 SECOND = (b" at nine", b" at five", b" at noon")

@@ -4,6 +4,7 @@ The level of what is looked at after every copy is tested on simulated honest ru
 """
 
 import random
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -12,12 +13,19 @@ from plant_service.punctuality import DOUBT, ReachWatch
 from protocol.agreement import AgreementResult
 from protocol.scenario import Calibration
 from protocol.statistics import better_than
-from tap_service.inference.miss_rate import ALPHA, AWAY, Audit, Misses, miss_rate, worst
+from tap_service.inference.miss_rate import ALPHA, AWAY, Audit, Misses, MissRate, worst
 from tests.support.size import size
 
 RUNS = 10_000
 LEVEL = 0.01
 """Stated for the simulations: at 1e-6 nothing would be seen in so many runs."""
+
+
+def miss_rate(missed: Iterable[bool], claim: float) -> MissRate:
+    misses = Misses(claim)
+    for one in missed:
+        misses.add(missed=one)
+    return misses.judge()
 
 
 def crossed(boundary: np.ndarray, probability: float, seed: int) -> float:

@@ -15,8 +15,7 @@ from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import default_names, named
 from tap_service.eavesdroppers.base import Model
-from tap_service.inference.from_outputs import inferred
-from tap_service.inference.opening import Known, Opening
+from tap_service.inference.opening import Known, Opening, inferred
 from tap_service.inference.output_fit import applied_in, identified, refitted
 from tap_service.inference.output_model import LATER, LOST, OutputModel
 from tests.support.recorded_pair import law_of

@@ -6,8 +6,7 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from protocol.knowledge import Knowledge
 from studies.secrecy.runs import law_of, scenario_at
-from tap_service.inference.planar_law import PlanarLaw
-from tap_service.inference.policy import KnownLaw
+from tap_service.inference.law import KnownLaw, PlanarLaw
 
 RNG = np.random.default_rng(0)
 

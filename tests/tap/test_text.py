@@ -25,17 +25,14 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import reading
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference import message_search
-from tap_service.inference.alignment import align
-from tap_service.inference.counts import distinct
+from tap_service.inference.english import distinct
 from tap_service.inference.expectation import expected
 from tap_service.inference.front import Inference
-from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
-from tap_service.inference.message_graph import DRAWN
-from tap_service.inference.message_halves import first_of_each
-from tap_service.inference.message_reader import Message, MessageReader
+from tap_service.inference.message_graph import DRAWN, first_of_each
+from tap_service.inference.message_reader import Message, MessageReader, align
 from tap_service.inference.message_search import BEAM, MessageSearch
-from tap_service.inference.verdicts import made_of, verdicts_of
+from tap_service.inference.verdicts import InferredStep, made_of, verdicts_of
 from tests.support.any_bytes import any_bytes
 from tests.support.held_memory import kept
 from tests.support.size import size
@@ -49,16 +46,8 @@ def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def closed(name: str, size: int) -> tuple[StateTable, int]:
-    table, states = StateTable(make_scheme(name, size)), 1
-    while True:
-        most = max(
-            int(table.following(np.array([e]), np.array([v]))[0])
-            for e in range(states)
-            for v in range(-1, size)
-        )
-        if most < states:
-            return table, states
-        states = most + 1
+    table = StateTable(make_scheme(name, size))
+    return table, len(table.all_following())
 
 
 def drawn(steps: int, size: int, seed: int) -> tuple[Array, Integers]:

@@ -14,9 +14,8 @@ from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import Transition
 from tap_service.inference.expectation import expected
-from tap_service.inference.inferred import InferredStep
 from tap_service.inference.message_reader import MessageReader
-from tap_service.inference.thresholds import MOST, Run, likely_thresholds
+from tap_service.inference.verdicts import MOST, InferredStep, Run, likely_thresholds
 
 TRUE = 0.2
 """The threshold by which both ends agree."""
@@ -47,12 +46,9 @@ def carried(payload: bytes, seed: int, silence: int = 12) -> list[InferredStep]:
 
 
 def closed() -> tuple[StateTable, Array]:
-    """The scheme's table with all states known, and the initial one's probability."""
+    """The scheme's table, and the initial state's probability."""
     table = StateTable(make_scheme("switched", 2))
-    states = 1 + int(max(table.following(np.zeros(3, dtype=int), np.arange(-1, 2))))
-    for state in range(states):
-        table.following(np.full(3, state), np.arange(-1, 2))
-    return table, np.eye(states)[0]
+    return table, np.eye(len(table.all_following()))[0]
 
 
 def made(steps: list[InferredStep], entry: Array) -> Run:

@@ -9,9 +9,9 @@ from studies.secrecy.runs import simulate
 from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.inference.inferred import InferredStep
-from tap_service.inference.policy import KnownLaw
+from tap_service.inference.law import KnownLaw
 from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
+from tap_service.inference.verdicts import InferredStep
 from tests.support.shipped_run import shipped_run
 from wyner.simulate.engine import transfer
 

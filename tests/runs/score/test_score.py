@@ -15,8 +15,7 @@ from protocol.statistics import NO_RUNS, stated_left
 from runtime.recording import TraceWriter
 from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
 from runtime.shipped import SCENARIOS
-from tap_service.eavesdroppers.base import Belief
-from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, Belief
 from tests.support import traced
 from wyner.runs.run import Run
 from wyner.runs.score import report as reporting

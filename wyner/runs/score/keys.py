@@ -17,7 +17,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.statistics import COUNTED, POOLED
 from tap_service.capture.reading import CaptureError
-from tap_service.inference.key_solver import bits_held
+from tap_service.eavesdroppers.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.blocks import Blocks, TracedBlock, ended
 from wyner.runs.lines import INTERRUPTED, MISSED

@@ -24,8 +24,7 @@ from protocol.text import printable
 from runtime.recording import TraceError
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError
-from tap_service.eavesdroppers.base import Belief, KeysHeld, MessageSymbols
-from tap_service.inference.kept import KEPT_SYMBOLS
+from tap_service.eavesdroppers.base import KEPT_SYMBOLS, Belief, KeysHeld, MessageSymbols
 from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
