@@ -186,7 +186,10 @@ def test_advice_names_the_gain_where_the_file_states_one() -> None:
     data["control"]["gain"] = gain
     by_gain = Scenario.model_validate(data)
     shares = {"agreed": 0.1, "equal": 0.9, "several": 0.9, "none": 0.0, "beyond": 0.0}
-    for scenario, named in ((stated, "control.regulator.input = [10.0]"), (by_gain, "control.gain")):
+    for scenario, named in (
+        (stated, "control.regulator.input = [10.0]"),
+        (by_gain, "control.gain"),
+    ):
         advised = "; ".join(remedies_for(scenario, shares | {"saturated": 0.0}))
         assert named in advised
         assert ("control.gain" in advised) == (scenario is by_gain)
