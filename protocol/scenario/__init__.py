@@ -21,7 +21,7 @@ from protocol.scenario.plants import PLANTS
 from protocol.scenario.reading import (
     ScenarioError,
     parse_scenario,
-    set_field,
+    with_fields,
 )
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
@@ -58,5 +58,5 @@ __all__ = [
     "TapView",
     "attack_of",
     "parse_scenario",
-    "set_field",
+    "with_fields",
 ]

@@ -1,6 +1,6 @@
 """Scenarios read from parsed tables: each wrong field in one line."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from typing import Any, Final
 
@@ -22,27 +22,6 @@ class ScenarioError(WynerError):
         self.problems = tuple(problems)
 
 
-def set_field(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set the field at ``path``, names and places with dots between, in a scenario's data.
-
-    Raises
-    ------
-    ScenarioError
-        When there can be no such field.
-    """
-    place: Any = data
-    *parents, last = path.split(".")
-    try:
-        for name in parents:
-            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
-        if isinstance(place, list):
-            place[int(last)] = value
-        else:
-            place[last] = value
-    except (AttributeError, IndexError, TypeError, ValueError):
-        raise ScenarioError([f"{path}: expected the path of a scenario's field"]) from None
-
-
 def _beyond(value: object, path: tuple[str, ...] = ()) -> Iterator[str]:
     """Numbers too large for any field, a line each; of any length, and in tables of any kind."""
     if isinstance(value, dict):
@@ -54,6 +33,36 @@ def _beyond(value: object, path: tuple[str, ...] = ()) -> Iterator[str]:
     elif isinstance(value, int | float) and abs(value) > LARGEST_NUMBER and abs(value) != inf:
         what = f"got {value!r}" if isinstance(value, float) else "got a longer one"
         yield f"{'.'.join(path)}: {what}, expected a number of at most {LARGEST_NUMBER:g}"
+
+
+def with_fields(scenario: Scenario, changes: Mapping[str, Any], source: str) -> Scenario:
+    """A scenario with other values in some fields.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    changes : mapping
+        By the path of a field: names and places with dots between.
+    source : str
+        Stands first in each line of an error.
+
+    Raises
+    ------
+    ScenarioError
+        When there can be no such field, or the whole is no scenario any more.
+    """
+    data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    for path, value in changes.items():
+        place: Any = data
+        *parents, last = path.split(".")
+        try:
+            for name in parents:
+                place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
+            place[int(last) if isinstance(place, list) else last] = value
+        except (AttributeError, IndexError, TypeError, ValueError):
+            line = f"{source}: {path}: expected the path of a scenario's field"
+            raise ScenarioError([line]) from None
+    return parse_scenario(data, source)
 
 
 def parse_scenario(data: dict[str, Any], source: str) -> Scenario:

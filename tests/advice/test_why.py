@@ -13,7 +13,7 @@ from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from runtime.shipped import scenario_file_of
 from wyner.advice.rate import long_runs, settled_rate
-from wyner.advice.why import FULL, OFTEN, Why, packed, packs, remedies_for, why
+from wyner.advice.why import FULL, OFTEN, Why, remedies_for, settled_share, why
 from wyner.cli.main import main
 
 
@@ -74,15 +74,12 @@ MOTORS = {
 
 def followed(scenario: Scenario, remedy: str) -> Scenario:
     """The scenario after the line was followed, word by word."""
-    if remedy.startswith('control.law = "packed", with one table [[control.costs]]'):
-        return packed(scenario)
     data = scenario.model_dump(mode="json", exclude_none=True)
     if remedy.startswith("control.regulator.input = "):
         weights = remedy.removeprefix("control.regulator.input = ").partition(":")[0]
         data["control"]["regulator"]["input"] = json.loads(weights)
-    elif "control.regulator.input" in remedy:
-        regulator = data["control"]["regulator"]
-        regulator["input"] = [100 * weight for weight in regulator["input"]]
+    elif remedy.startswith('control.law = "packed", with one table [[control.costs]]'):
+        data["control"] |= {"law": "packed", "costs": data["control"]["costs"][:1]}
     else:
         raise AssertionError(f"a remedy that nobody has followed: {remedy}")
     return Scenario.model_validate(data)
@@ -108,13 +105,19 @@ def test_each_line_of_advice_raises_the_rate_when_it_is_followed(
     for remedy in before.remedies:
         after = reasons(followed(scenario, remedy)).agreed.value
         assert after > before.agreed.value + 0.02, (remedy, before.agreed.value, after)
-        if (promised := re.search(r"([\d.]+) of 100 steps make a key", remedy)) is not None:
-            assert after == pytest.approx(float(promised[1]) / 100, abs=0.03)
+        (promised,) = re.findall(r"([\d.]+) of 100 steps make a key", remedy)
+        assert after == pytest.approx(float(promised) / 100, abs=0.03)
 
 
 def test_what_does_not_help_is_not_advised() -> None:
-    assert packs(shipped("sustained"))
-    assert not packs(shipped("sustained", inputs={"half_widths": [0.1]})), "no two fit into U"
+    """No two inputs that the law packed could tell apart fit into the smaller U."""
+    for bound, helps in ((20.0, True), (0.1, False)):
+        scenario = shipped("sustained", inputs={"half_widths": [bound]})
+        packed = {"law": "packed", "costs": [{"next_state": 1.0}]}
+        assert (settled_share(scenario, packed) > 0.9) is helps
+        shares = dict.fromkeys(("equal", "several", "none", "beyond", "saturated"), 0.0)
+        advised = remedies_for(scenario, shares | {"agreed": 0.3})
+        assert any('"packed"' in line for line in advised) is helps
 
 
 def test_a_full_rate_needs_no_advice() -> None:
@@ -183,7 +186,10 @@ def test_advice_names_the_gain_where_the_file_states_one() -> None:
     data["control"]["gain"] = gain
     by_gain = Scenario.model_validate(data)
     shares = {"agreed": 0.1, "equal": 0.9, "several": 0.9, "none": 0.0, "beyond": 0.0}
-    for scenario, named in ((stated, "larger control.regulator.input"), (by_gain, "control.gain")):
-        advised = remedies_for(scenario, shares | {"saturated": 0.0})
-        assert named in advised[0]
-        assert ("control.gain" in advised[0]) == (scenario is by_gain)
+    for scenario, named in (
+        (stated, "control.regulator.input = [10.0]"),
+        (by_gain, "control.gain"),
+    ):
+        advised = "; ".join(remedies_for(scenario, shares | {"saturated": 0.0}))
+        assert named in advised
+        assert ("control.gain" in advised) == (scenario is by_gain)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from controller_service.sets.design import Design
 from controller_service.sets.terminal import regulator_gain
@@ -18,6 +17,7 @@ from protocol.arrays import Array, Indices
 from protocol.link.fallback import clip
 from protocol.scenario import Scenario
 from protocol.statistics import COMPUTED, STATED, Interval, bits_left, wilson
+from protocol.vectors import Vector
 from wyner.advice import rate as settling
 from wyner.advice.rate import Rate, long_runs
 
@@ -47,7 +47,6 @@ class PlainLaw:
     """
 
     def __init__(self, scenario: Scenario, design: Design) -> None:
-        self.design = design
         self._gain = np.array(design.K)
         if not np.abs(np.linalg.eigvals(design.A + design.B @ self._gain)).max() < 1:
             Q, R = scenario.cost_weights
@@ -55,32 +54,17 @@ class PlainLaw:
         self._inputs = Gauge.from_rows(*scenario.control.inputs.rows())
         self._size = scenario.secrecy.candidates
 
-    def index(self, x: Sequence[float]) -> int:  # noqa: ARG002
-        """0: this law knows no sets."""
-        return 0
-
-    def candidates(self, x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    def candidates(self, x: Vector, /) -> tuple[Vector, ...]:
         """The same input M times."""
-        u = clip((self._gain @ np.array(x)).tolist(), self._inputs)
-        return (u,) * self._size
+        return (clip((self._gain @ np.array(x)).tolist(), self._inputs),) * self._size
 
-    def indices(self, X: ArrayLike) -> Indices:
-        """0 for each state."""
-        return np.zeros(len(np.asarray(X)), dtype=np.int64)
+    def indices(self, X: Array, /) -> Indices:
+        """0 for each state: this law knows no sets."""
+        return np.zeros(len(X), dtype=np.int64)
 
-    def candidates_many(self, X: ArrayLike, indices: Indices | None = None) -> Array:  # noqa: ARG002
+    def candidates_many(self, X: Array, indices: Indices | None = None, /) -> Array:  # noqa: ARG002
         """The same input M times for each row of X, shape (R, M, m)."""
-        wanted = np.asarray(X) @ self._gain.T
-        widths = self._inputs.half_widths
-        if widths is not None:
-            clipped = np.clip(wanted, -np.array(widths), np.array(widths))
-        else:
-            clipped = np.array([clip(u, self._inputs) for u in wanted.tolist()])
-        return np.repeat(clipped[:, None, :], self._size, axis=1)
-
-    def gain(self, i: int) -> Array | None:  # noqa: ARG002
-        """None: where an input is clipped it is not K x."""
-        return None
+        return np.array([self.candidates(tuple(x)) for x in X.tolist()])
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,31 +165,36 @@ def answer(scenario: Scenario, design: Design, parts: "Sequence[Runs]", rate: Ra
         carried = rate.bits_per_second
         most = carried.high if carried.known else carried.value
         secret = most * bits_left(1, size, wilson(named, agreed)).high / float(np.log2(size))
-    plain = long_runs(scenario, PlainLaw(scenario, design), record=True)
-    cost, inputs, states = (
-        ratio_of_means(_squares(parts, kind), _squares(plain, kind), root=kind != "cost")
-        for kind in ("cost", "u", "x")
-    )
+    ours = _squares(parts)
+    plain = _squares(long_runs(scenario, PlainLaw(scenario, design), record=True))
     unseen = "" if scenario.defence.keyed else "; ".join(scenario.control.why_unseen())
-    return Answer(rate, secret, len(heard), named, agreed, cost, inputs, states, size, unseen)
+    return Answer(
+        rate=rate,
+        secret=secret,
+        heard=len(heard),
+        named=named,
+        agreed=agreed,
+        cost=ratio_of_means(ours[0], plain[0]),
+        inputs=ratio_of_means(ours[1], plain[1], root=True),
+        states=ratio_of_means(ours[2], plain[2], root=True),
+        size=size,
+        unseen=unseen,
+    )
 
 
-def _squares(parts: "Sequence[Runs]", kind: str) -> Array:
-    """Each run's mean a settled step of the quadratic cost, of |u|^2 or of |x|^2."""
-    out = []
+def _squares(parts: "Sequence[Runs]") -> tuple[Array, Array, Array]:
+    """Each run's mean a settled step of the quadratic cost, of |u|^2 and of |x|^2."""
+    Q, R = parts[0].scenario.cost_weights
+    costs, inputs, states = [], [], []
     for runs in parts:
-        assert runs.x is not None
+        seen = runs.x if runs.truth is None else runs.truth
+        assert seen is not None
         assert runs.u is not None
-        x = runs.x if runs.truth is None else runs.truth
-        x, u = x[settling.BURN_IN + 1 :], runs.u[settling.BURN_IN :]
-        if kind == "cost":
-            Q, R = runs.scenario.cost_weights
-            value = np.einsum("knr,n->kr", x**2, Q) + np.einsum("kmr,m->kr", u**2, R)
-        else:
-            value = (x if kind == "x" else u) ** 2
-            value = value.sum(axis=1)
-        out.append(value.mean(axis=0))
-    return np.concatenate(out)
+        x2, u2 = ((v[settling.BURN_IN :] ** 2).mean(axis=0) for v in (seen[1:], runs.u))
+        costs.append(np.array(Q) @ x2 + np.array(R) @ u2)
+        inputs.append(u2.sum(axis=0))
+        states.append(x2.sum(axis=0))
+    return np.concatenate(costs), np.concatenate(inputs), np.concatenate(states)
 
 
 def ratio_of_means(above: Array, below: Array, *, root: bool = False) -> Interval:

@@ -19,9 +19,9 @@ from protocol.arrays import Counts
 from protocol.statistics import COMPUTED, Interval, mean_over_runs, share_over_runs
 
 if TYPE_CHECKING:
-    from controller_service.laws.base import CandidateLaw
     from protocol.scenario import Scenario
     from wyner.simulate.engine import Runs
+    from wyner.simulate.engine.loop import ManyLaw
 
 RUNS: Final = 20
 """Half of them from x(0), half from the origin."""
@@ -163,7 +163,7 @@ class SettledRate:
 
 def long_runs(
     scenario: "Scenario",
-    law: "CandidateLaw",
+    law: "ManyLaw",
     folder: Path = Path(),
     *,
     record: bool = False,
@@ -174,7 +174,7 @@ def long_runs(
     Parameters
     ----------
     scenario : Scenario
-    law : CandidateLaw
+    law : ManyLaw
     folder : Path
         Where the files that the scenario names are looked for.
     record : bool

@@ -15,12 +15,11 @@ if TYPE_CHECKING:
     from protocol.scenario import Scenario
     from wyner.simulate.engine import Runs
 
-TRIED_RUNS, TRIED_STEPS, TRIED_SETTLED, SEED = 10, 1000, 500, 1
-"""The simulation that tries what would make a silent law talk, and how many of its steps are left
-out before those that count."""
-
 SOFTER: Final = (100.0, 1000.0)
 """Factors by which the inputs' weights are raised, for a softer regulator."""
+
+HELPS: Final = 0.02
+"""Share of the steps that a change of the law must add to be advised."""
 
 EQUAL: Final = 1e-3
 """Candidates whose predictions are no further apart than this, in D_c's gauge, are one."""
@@ -174,140 +173,79 @@ def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
     return best
 
 
-def packed(scenario: "Scenario") -> "Scenario":
-    """The same plant under the law ``packed``, with its first cost.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        When that is no scenario.
-    """
-    data = scenario.model_dump(mode="json", exclude_none=True)
-    control = {**data["control"], "law": "packed", "costs": data["control"]["costs"][:1]}
-    return type(scenario).model_validate({**data, "control": control})
-
-
-def packs(scenario: "Scenario") -> bool:
-    """Whether the law ``packed`` has an alphabet and a terminal set here, by a regulator."""
-    from pydantic import ValidationError
-
-    from controller_service.sets.design import SynthesisError, stated_start
-    from controller_service.sets.packed_design import alphabet_of, nearest_regulator, reduced
-    from protocol.scenario.laws import PackedControl
-
-    try:
-        its = packed(scenario)
-        assert isinstance(its.control, PackedControl)
-        problem = reduced(its, alphabet_of(its, its.control.alphabet.spacing))
-    except (ValidationError, SynthesisError):
-        return False
-    try:
-        stated_start(problem)
-    except SynthesisError:
-        return nearest_regulator(problem) is not None
-    return True
-
-
 def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
-    """What to change, the most promising first; ``found`` are the shares of :class:`Why`."""
-    control, remedies = scenario.control, []
+    """What to change, the most promising first; ``found`` are the shares of :class:`Why`.
+
+    Each change of the law has been simulated, and is there because it helped.
+    """
     if found["agreed"] >= FULL:
         return []
-    if not found["agreed"]:
-        remedies += _talking(scenario)
-    elif found["equal"] >= OFTEN:
-        softer = "smaller control.regulator.next_state or larger control.regulator.input make"
-        if control.regulator is None:
-            softer = "a smaller control.gain, or control.regulator in its place, makes"
+    remedies = []
+    for text, changes in _laws(scenario):
+        share = settled_share(scenario, changes)
+        if share > found["agreed"] + HELPS:
+            remedies.append(f"{text} ({100 * share:.3g} of 100 steps make a key there, simulated)")
+    if found["equal"] >= OFTEN and scenario.control.regulator is None:
         remedies.append(
-            f"a larger target set: {softer} a softer K and a wider T_0, in which the candidates "
-            "can lie apart"
+            "a larger target set: a smaller control.gain, or control.regulator in its place, makes "
+            "a softer K and a wider T_0, in which the candidates can lie apart"
         )
-    if found["agreed"] and found["several"] >= OFTEN:
-        if control.law != "packed" and packs(scenario):
-            remedies.append(
-                'control.law = "packed", with one table [[control.costs]]: it keeps the '
-                "predictions apart by as much as you say"
-            )
-        if found["saturated"] >= OFTEN:
-            remedies.append(
-                "wider control.inputs: the candidates are at their bounds in "
-                f"{100 * found['saturated']:.0f} of 100 steps"
-            )
-    if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
+    if min(found["several"], found["saturated"]) >= OFTEN:
+        remedies.append(
+            "wider control.inputs: the candidates are at their bounds in "
+            f"{100 * found['saturated']:.0f} of 100 steps"
+        )
+    if found["beyond"] > min(1 - OFTEN, found["agreed"]):
         remedies.append("a larger secrecy.alpha, if Eve really knows so little")
     if found["none"] > 1 - FULL:
         remedies.append("a larger defender.disturbance: the state leaves every D_c")
     return remedies
 
 
-def _talking(scenario: "Scenario") -> list[str]:
-    """Changes under which a silent scenario agrees keys in the long run, each tried."""
-    remedies = []
-    for text, changed in _louder(scenario):
-        share = 0.0 if changed is None else _settled_share(changed)
-        if share:
-            remedies.append(f"{text} ({100 * share:.3g} of 100 steps make a key there, simulated)")
-    return remedies
-
-
-def _louder(scenario: "Scenario") -> "Iterator[tuple[str, Scenario | None]]":
-    """Changes that may make a silent scenario talk; None where one makes no scenario."""
-    if scenario.control.law == "paper":
+def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Changes of the law that may raise the rate: a line, and the fields of ``[control]``."""
+    control = scenario.control
+    if control.law == "paper":
         yield (
             'control.law = "sustained": inside T_0 the law paper applies u = K x in both programs, '
             "so that the candidates are one",
-            _with_control(scenario, law="sustained"),
+            {"law": "sustained"},
         )
-    regulator = scenario.control.regulator
+    regulator = control.regulator
     for factor in SOFTER if regulator is not None else ():
         assert regulator is not None
-        weights = [factor * weight for weight in regulator.input]
-        softer = {"next_state": regulator.next_state, "input": weights}
+        weights = [float(f"{factor * weight:.3g}") for weight in regulator.input]
         yield (
-            f"control.regulator.input = {[float(f'{w:.3g}') for w in weights]}: a softer K and a "
-            "wider T_0, in which the candidates can lie apart",
-            _with_control(scenario, regulator=softer),
+            f"control.regulator.input = {weights}: a softer K and a wider T_0, in which the "
+            "candidates can lie apart",
+            {"regulator": {"next_state": regulator.next_state, "input": weights}},
         )
-    if scenario.control.law != "packed" and packs(scenario):
+    if control.law != "packed":
         yield (
             'control.law = "packed", with one table [[control.costs]]: it keeps the predictions '
             "apart by as much as you say",
-            packed(scenario),
+            {"law": "packed", "costs": [control.costs[0].model_dump(exclude_none=True)]},
         )
 
 
-def _with_control(scenario: "Scenario", **fields: object) -> "Scenario | None":
-    from pydantic import ValidationError
+def settled_share(scenario: "Scenario", fields: dict[str, Any]) -> float:
+    """The share of steps that could agree a key once the loop from the origin has settled.
 
-    data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-    try:
-        return type(scenario).model_validate({**data, "control": {**data["control"], **fields}})
-    except ValidationError:
-        return None
-
-
-def _settled_share(scenario: "Scenario") -> float:
-    """The share of steps that agree once the loop from the origin has settled; 0 where none does.
-
-    Also where there is no design.
+    0 where these fields of ``[control]`` make no scenario, or it has no design or cannot run.
     """
     from controller_service.laws.errors import ProgramError
     from controller_service.laws.registry import make_law, synthesise
     from controller_service.sets.design import SynthesisError
-    from wyner.simulate.engine import SimulationError, simulate_runs
+    from protocol.scenario import ScenarioError, with_fields
+    from wyner.simulate.engine import SimulationError
 
-    plant = scenario.plant.model_copy(update={"initial_state": (0.0,) * scenario.n})
-    quiet = scenario.model_copy(update={"plant": plant, "network": None})
+    changes = {f"control.{name}": value for name, value in fields.items()}
+    # Near the origin the smallest sets are enough.
+    changes |= {"control.horizon": 1, "plant.initial_state": [0.0] * scenario.n}
     try:
-        runs = simulate_runs(
-            quiet,
-            make_law(quiet, synthesise(quiet)),
-            seed=SEED,
-            runs=range(TRIED_RUNS),
-            steps=TRIED_STEPS,
-        )
-    except (SynthesisError, ProgramError, SimulationError):
+        quiet = with_fields(scenario, changes, scenario.name).model_copy(update={"network": None})
+        (runs,) = rate.long_runs(quiet, make_law(quiet, synthesise(quiet)))
+    except (ScenarioError, SynthesisError, ProgramError, SimulationError):
         return 0.0
     could = (runs.symbol >= 0) & (runs.largest <= scenario.secrecy.alpha)
-    return float(could[TRIED_SETTLED:].mean())
+    return float(could[rate.BURN_IN :].mean())

@@ -1,6 +1,5 @@
 """Scenarios and what is designed for them."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from controller_service.sets.design import Design
 from protocol.arrays import Array
 from protocol.brief import Brief
 from protocol.convex import Polytope, corners, planar_vertices
-from protocol.scenario import Scenario, ScenarioError, parse_scenario, set_field
+from protocol.scenario import Scenario, ScenarioError, parse_scenario, with_fields
 from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS, scenario_file_of
 
@@ -67,10 +66,7 @@ def vary(scenario: "Scenario | System", changes: Mapping[str, Any]) -> Scenario:
     """
     if isinstance(scenario, System):
         scenario = scenario.scenario
-    data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
-    for path, value in changes.items():
-        set_field(data, path, value)
-    return parse_scenario(data, scenario.name)
+    return with_fields(scenario, changes, scenario.name)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from protocol.scenario import Scenario, ScenarioError, parse_scenario, set_field
+from protocol.scenario import Scenario, ScenarioError, with_fields
 from protocol.schemes.registry import scheme_named
 from protocol.wrong_fields import wrong_fields
 from runtime.files import read_regular
@@ -239,8 +239,8 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
         for values in itertools.product(*sweep.grid.values()):
             fields = dict(zip(sweep.grid, values, strict=True))
             try:
-                scenario = _changed(base, variant.set | fields, where)
-            except SweepError as error:
+                scenario = with_fields(base, variant.set | fields, where)
+            except ScenarioError as error:
                 problems |= dict.fromkeys(error.problems)
                 continue
             problems |= dict.fromkeys(_unlike(sweep, scenario, where))
@@ -262,26 +262,6 @@ def _scenario(folder: Path, name: str) -> Scenario:
     path, shipped = folder / name, SCENARIOS / f"{name}.toml"
     try:
         return load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
-    except ScenarioError as error:
-        raise SweepError(error.problems) from None
-
-
-def _changed(base: Scenario, settings: dict[str, Any], where: str) -> Scenario:
-    """A scenario with some fields set.
-
-    Raises
-    ------
-    SweepError
-        When a value does not fit its field.
-    """
-    data = base.model_dump(mode="json", exclude_none=True)
-    try:
-        for field_path, value in settings.items():
-            set_field(data, field_path, value)
-    except ScenarioError as error:
-        raise SweepError(f"{where}: {error}") from None
-    try:
-        return parse_scenario(data, where)
     except ScenarioError as error:
         raise SweepError(error.problems) from None
 
