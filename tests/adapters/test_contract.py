@@ -7,7 +7,6 @@ import pytest
 
 from plant_service.adapters import Operated, OperatingPoint, PlantError, SimulatedPlant
 from protocol.agreement import Gauge
-from protocol.link.fallback import clip
 from tests.adapters.plants import KINDS, START, Device, PythonLine, line, operated
 
 INPUTS = [(0.25,), (-1.0,), (0.7,), (1.0,), (-0.3,)]
@@ -159,10 +158,3 @@ def test_deviations_are_counted_from_the_operating_point_in_units_of_the_scale()
     assert plant.start(None) == (0.5, 0.0)
     plant.apply((5.0,))  # 0.5 + 0.1 * 5 = 1 in physical units
     assert plant.sample() == ((-6.5 + 6.0) / 2.0, (-1.0 + 2.0) / 4.0)
-
-
-def test_clipping_is_by_component_in_a_box_and_along_the_input_elsewhere() -> None:
-    assert clip((3.0, -0.5), Gauge(half_widths=(1.0, 2.0))) == (1.0, -0.5)
-    diamond = Gauge(H=((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)), h=(1.0, 1.0, 1.0, 1.0))
-    assert clip((3.0, 1.0), diamond) == (0.75, 0.25)
-    assert clip((0.3, 0.1), diamond) == (0.3, 0.1)

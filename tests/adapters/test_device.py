@@ -36,12 +36,8 @@ from tests.adapters.plants import Device
 from tests.support.journals import NO_STEP, plant_journal, step_of
 from tests.support.mail import mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.safety import violations
-from tests.support.size import size
 from tests.support.told import log_of
 from wyner.api import load, vary
-from wyner.simulate.faults import Faults
-from wyner.simulate.network import Simulation
 
 OBJECT = "tests.adapters.plants:PythonLine"
 
@@ -233,25 +229,6 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     assert record.link.applied_k == -1  # never reported, so tested by neither end
     again = Bench(Device(), bench.journal)
     assert again.record.link.k == 2  # whoever is away for a while has missed a step again
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", size([1, 3, 4], range(6)))
-def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None:
-    """The contract of the link, for a plant that starts anew with each of its processes."""
-    payloads = (b"one", b"two")
-    sim = Simulation(
-        line(),
-        law,
-        seed=seed,
-        payloads=payloads,
-        faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.01, until_s=60.0),
-        step_s=1.0 if seed % 2 else None,
-    )
-    history = sim.run(seconds=4000, until=lambda: len(sim.history.delivered) >= len(payloads))
-    assert list(violations(history, payloads)) == []
-    assert history.inbox == list(payloads)
-    assert history.crashes > 0
 
 
 # --- what ends in between -------------------------------------------------------------------------

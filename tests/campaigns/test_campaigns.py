@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, live, schedules
-from tests.secret.test_keys_machine import WRONG
 
 
 def test_seeded_schedules_break_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -19,16 +17,6 @@ def test_seeded_schedules_break_nothing(capsys: pytest.CaptureFixture[str]) -> N
     done = json.loads(capsys.readouterr().out)
     assert (done["schedules"], done["broken"]) == (40, 0)
     assert min(done["keys"], done["acting"]) > 0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("wrong", WRONG[:-1])  # the last one takes whole messages to be seen
-def test_schedules_find_a_wrong_stream(
-    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seeds = [seed for seed in range(8000) if schedules.watched(seed)][:40]
-    wrong(monkeypatch)
-    assert any(schedules.outcome_of(seed).wrong for seed in seeds)
 
 
 @pytest.mark.long

@@ -6,7 +6,6 @@ folder's place. Looked at is every offer on the wire: no position of the key str
 steps, and none lies before one that was named.
 """
 
-import logging
 import random
 import shutil
 from collections import Counter
@@ -16,7 +15,7 @@ import pytest
 
 from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, KeyStream, Position
+from protocol.secret.stream import NOWHERE
 from tests.support.mail import Mail
 from tests.support.once import Digits
 from tests.support.pair import SIDES, Name
@@ -94,19 +93,3 @@ def test_no_digit_is_named_for_two_steps_whoever_is_put_back(tmp_path: Path) -> 
     assert min(loop.counts[side] for side in SIDES) > 2
     assert loop.counts["with digits"] > 200
     assert loop.counts["sessions ended"] > 4
-
-
-@pytest.mark.long
-def test_a_controller_that_forgets_which_digits_it_has_named_is_caught(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.CRITICAL)
-    begin = KeyStream.__init__
-
-    def forgetful(
-        self: KeyStream, size: int, held: Held = NOTHING_HELD, _: Position = NOWHERE
-    ) -> None:
-        begin(self, size, held)
-
-    monkeypatch.setattr(KeyStream, "__init__", forgetful)
-    assert restored(tmp_path, 20).doubled

@@ -1,6 +1,5 @@
 """The box observer: it holds the state, is the same at both ends, and tells inputs apart."""
 
-import json
 import random
 
 import pytest
@@ -82,14 +81,6 @@ def test_the_papers_plant_does_not() -> None:
     radius = sorted(b.radius[1] for b in small)[150]
     moved, blur = MOTOR.needed(Box((0.0, -radius), (0.0, radius)), (0.8,))
     assert moved[0] > 0.9 * blur[0]
-
-
-def test_it_goes_on_from_what_was_kept_with_the_same_bits() -> None:
-    _, _, boxes = run(MOTOR, 0.8, 50, seed=4)
-    kept = Box(*(tuple(v) for v in json.loads(json.dumps(boxes[20]))))
-    assert kept == boxes[20]
-    candidates, y = ((0.1,), (0.9,)), (0.25,)
-    assert MOTOR.step(kept, candidates, y) == MOTOR.step(boxes[20], candidates, y)
 
 
 def test_a_reading_that_nothing_explains_begins_anew() -> None:

@@ -27,18 +27,6 @@ def test_any_order_gives_the_same_draws(places: list[int]) -> None:
         assert jumping.at(i) == tuple(sequential[i])
 
 
-@pytest.mark.parametrize("start", [1, BLOCK - 1, BLOCK, BLOCK + 1, 10**9])
-def test_a_restarted_process_goes_on_in_the_middle(start: int) -> None:
-    whole = Stream(1, DISTURBANCE, width=2)
-    if start < 10**6:
-        for i in range(start):
-            whole.at(i)
-    resumed = Stream(1, DISTURBANCE, width=2)
-    assert [resumed.at(i) for i in range(start, start + 10)] == [
-        whole.at(i) for i in range(start, start + 10)
-    ]
-
-
 def test_streams_and_runs_and_seeds_are_apart() -> None:
     draws = {
         Stream(seed, stream, run=run).at(0)

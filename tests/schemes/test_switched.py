@@ -82,20 +82,6 @@ def test_a_uniform_key_hides_the_symbol(size: int, symbol: int) -> None:
     assert ciphers == Counter(range(size))
 
 
-@given(st.lists(st.lists(st.integers(-1, 2), min_size=4, max_size=4), min_size=1, max_size=40))
-def test_many_runs_are_so_many_single_ones(rows: list[list[int]]) -> None:
-    verdicts = np.array(rows, dtype=np.int8).reshape(len(rows), 2, 2)
-    scheme = Switched(3)
-    many = advance_many(scheme, verdicts)
-    for at in np.ndindex(2, 2):
-        state = scheme.initial
-        for j, verdict in enumerate(verdicts[:, *at].tolist()):
-            tested = scheme.tests(state)
-            state, carry = scheme.advance(state, verdict)
-            assert (many.agreed[j][at], many.pad[j][at]) == carry
-            assert many.tested[j][at] == tested
-
-
 def test_the_largest_symbols_of_a_byte_are_kept_apart_from_none() -> None:
     """Keys from 64 on have the bit below the sign set."""
     verdicts = np.array([[126], [5], [64], [NO_SYMBOL], [3], [4]], dtype=np.int8)

@@ -30,7 +30,6 @@ from runtime.errors import DONE, USAGE
 from runtime.health import read_status
 from runtime.pace import Pace
 from runtime.run_folder import (
-    CONTROLLER_TRACE,
     PLANT_STATUS,
     PLANT_TRACE,
 )
@@ -132,19 +131,6 @@ class System:
 @pytest.fixture
 def system(sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path) -> System:
     return System(sustained, sustained_law, tmp_path)
-
-
-def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
-    with system.controller(b"one"), system.plant(steps=800):
-        system.wait(lambda: "plant" in system.codes)
-    assert system.codes == {"plant": DONE, "controller": DONE}
-    assert system.recovered() == [b"one"]
-    plant = {e["j"]: e for e in events_of(system.run_dir / PLANT_TRACE, "transition")}
-    controller = events_of(system.run_dir / CONTROLLER_TRACE, "transition")
-    for event in controller:
-        mine = plant.pop(event["j"])
-        assert {k: mine[k] for k in event} == event
-    assert not plant
 
 
 def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
