@@ -11,8 +11,8 @@ from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
 from studies.keys import CONTROLS
-from tap_service.inference.key_solver import bits_held
-from tap_service.inference.miss_rate import miss_rate
+from tap_service.eavesdroppers.key_solver import bits_held
+from tap_service.inference.miss_rate import Misses
 from tests.support.known_rows import held
 
 COPIES = 256
@@ -59,11 +59,12 @@ def test_a_claim_above_the_truth_breaks(true: float, claimed: float, breached: i
     rows = Assumption(claimed).rows(256, 256, 512)
     generator = random.Random(1)
     found = 0
-    everything: list[bool] = []
+    everything = Misses(claimed)
     for _ in range(20):
         misses = [generator.random() < true for _ in range(512)]
-        everything += misses
+        for missed in misses:
+            everything.add(missed=missed)
         found += bits_held(rows, sum(misses)) > 0
     assert found == breached or found >= breached - 1 >= 18
     # the audit says so even where the bound's slack hides it
-    assert miss_rate(everything, claimed).refuted == (true < claimed)
+    assert everything.judge().refuted == (true < claimed)
