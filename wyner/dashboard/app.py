@@ -220,7 +220,7 @@ def _steps_between(held: State, state: State) -> int | None:
         return 0
     if held.plant is None or held.plant.session != state.plant.session:
         return None
-    return max(0, state.plant.k - held.plant.k)
+    return max(0, state.plant.step.k - held.plant.step.k)
 
 
 def _size(stream: IO[str]) -> Size:

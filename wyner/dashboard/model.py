@@ -5,11 +5,20 @@ recorded list of arrivals always gives the same state.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
-from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
+from protocol.messages import (
+    ControllerStatus,
+    Message,
+    PlantModel,
+    PlantStatus,
+    Status,
+    TapStatus,
+)
+from protocol.messages.adversary import TailGuess
+from protocol.messages.management import PicturedStep, TailStep
 from protocol.relabelling import Pairs
 
 T = TypeVar("T")
@@ -41,36 +50,18 @@ class Arrival:
 
 
 @dataclass(frozen=True, slots=True)
-class ShownTruth:
-    """What the plant says about one transition: its role, the key symbol (or -1), the coin b_r."""
-
-    role: Literal["test", "message"]
-    symbol: int
-    coin: int
-
-
-@dataclass(frozen=True, slots=True)
-class ShownGuess:
-    """What a tap says about one step: likeliest symbol, its probability, that of an agreement."""
-
-    symbol: int
-    probability: float
-    agreed: float
-
-
-@dataclass(frozen=True, slots=True)
 class TapState:
     """One eavesdropper, from its statuses.
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap. ``exact``: its message was
     a true one, at least once. ``watched``: its statuses were received before it was sure of any
-    message, while the truth was known. ``pairs`` counts the agreed steps whose guess and truth are
-    held no more, by both, over all sessions.
+    message, while the truth was known. ``pairs`` counts the agreed steps that were guessed, by
+    guess and truth, over all sessions.
     """
 
     status: TapStatus
     seen_ns: int
-    guesses: Mapping[int, ShownGuess] = field(default_factory=dict)
+    guesses: Mapping[int, TailGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
     pairs: Pairs = field(default_factory=dict)
@@ -80,8 +71,8 @@ class TapState:
 class State:
     """All that the screen and the plain lines are made from.
 
-    ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn;
-    ``states`` are those that the plant reports, ``true_states`` what they are where it is attacked.
+    ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``states``
+    are those that the plant reports, ``true_states`` what they are where it is attacked.
     """
 
     model: PlantModel | None = None
@@ -89,18 +80,21 @@ class State:
     plant_seen_ns: int = -1
     controller: ControllerStatus | None = None
     controller_seen_ns: int = -1
-    pictured: PlantStatus | None = None
+    pictured: PicturedStep | None = None
     pictured_ns: int = -1
     taps: Mapping[str, TapState] = field(default_factory=dict)
-    truths: Mapping[int, ShownTruth] = field(default_factory=dict)
+    truths: Mapping[int, TailStep] = field(default_factory=dict)
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
+    received: int = 0
+    refused: int = 0
+    unreadable: int = 0
 
     @property
     def alarms(self) -> str:
         """The last alarm, in words; empty where there is none."""
-        return "" if self.controller is None else self.controller.alarm_sentence()
+        return "" if self.controller is None else self.controller.alarms.sentence()
 
     @property
     def away(self) -> float:
@@ -109,10 +103,6 @@ class State:
         reported = self.states.get(k, ())
         true = self.true_states.get(k, ())
         return max((abs(a - b) for a, b in zip(true, reported, strict=False)), default=0.0)
-
-    received: int = 0
-    refused: int = 0
-    unreadable: int = 0
 
     @property
     def malformed(self) -> int:
@@ -128,24 +118,24 @@ class State:
     @property
     def candidates(self) -> int:
         """M, the number of candidates in an offer; 2 before the first pictured transition."""
-        pictured = len(self.plant.pictured_candidates) if self.plant is not None else 0
-        return max(2, pictured)
+        return 2 if self.pictured is None else len(self.pictured.gauges)
 
     @property
     def recovered(self) -> str:
         """The text the plant has so far: the frame on its way, or the last whole message."""
         if self.plant is None:
             return ""
-        under_way = self.controller is not None and (
-            self.controller.frame_symbols < self.controller.frame_length
-            or self.controller.sending != self.plant.last_message
+        said, controller = self.plant.secrets, self.controller
+        under_way = controller is not None and (
+            controller.frame.symbols < controller.frame.length
+            or controller.secrets.text != said.last_message
         )
-        return self.plant.partial if self.plant.partial or under_way else self.plant.last_message
+        return said.text if said.text or under_way else said.last_message
 
     @property
     def sent(self) -> str:
         """The text on its way, or, without a controller, what the plant has."""
-        return self.controller.sending if self.controller is not None else self.recovered
+        return self.recovered if self.controller is None else self.controller.secrets.text
 
 
 def reduce(state: State, arrival: Arrival) -> State:
@@ -176,133 +166,84 @@ def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
         return state
     if state.plant is not None and state.plant.session != status.session:
         # Steps may be counted afresh in a new session: what was known by step is void.
-        state = replace(
-            state,
-            pictured=None,
-            truths={},
-            states={},
-            true_states={},
-            taps={
-                name: replace(tap, guesses={})
-                for name, tap in _forgotten(state, state.truths).items()
-            },
-        )
-    truths, states = dict(state.truths), dict(state.states)
-    tail = zip(
-        status.tail_k,
-        status.tail_x,
-        status.tail_role,
-        status.tail_symbol,
-        status.tail_coin,
-        strict=False,
-    )
-    for k, x, role, symbol, coin in tail:
-        truths[k] = ShownTruth(role, symbol, coin)
-        states[k] = x
-    states[status.k] = status.x
-    true_states = dict(state.true_states)
-    for k, true in zip(status.tail_k, status.tail_true_x, strict=False):
-        true_states[k + 1] = true
-    state = _picture(state, status, t_ns)
-    kept = _newest(truths, STEPS_KEPT)
-    if len(kept) < len(truths):
-        gone = truths.keys() - kept.keys()
-        state = replace(state, taps=_forgotten(replace(state, truths=truths), gone))
+        taps = {name: replace(tap, guesses={}) for name, tap in state.taps.items()}
+        state = replace(state, pictured=None, truths={}, states={}, true_states={}, taps=taps)
+    truths, states, true_states = dict(state.truths), dict(state.states), dict(state.true_states)
+    agreed = {}
+    for row in status.secrets.tail:
+        if row.symbol >= 0 and row.k not in truths:
+            agreed[row.k] = row.symbol
+        truths[row.k] = row
+        states[row.k] = row.x
+        if row.true_x_next:
+            true_states[row.k + 1] = row.true_x_next
+    states[status.step.k] = status.step.x
+    taps = {
+        name: _compared(tap, {k: symbol for k, symbol in agreed.items() if k in tap.guesses})
+        for name, tap in state.taps.items()
+    }
     return _judge(
         replace(
-            state,
+            _picture(state, status, t_ns),
             plant=status,
             plant_seen_ns=t_ns,
-            truths=kept,
+            taps=taps,
+            truths=_newest(truths, STEPS_KEPT),
             states=_newest(states, STATES_KEPT),
             true_states=_newest(true_states, STATES_KEPT),
-            texts=_with_text(state.texts, status.last_message),
+            texts=_with_text(state.texts, status.secrets.last_message),
         )
     )
 
 
 def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
-    if status.pictured_k < 0:
+    shown, new = state.pictured, status.secrets.pictured
+    if new is None:
         return state
-    shown = state.pictured
     over = t_ns - state.pictured_ns >= PICTURE_NS
-    better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)
-    if not over and not better:
-        return state
-    return replace(state, pictured=status, pictured_ns=t_ns)
+    better = shown is None or new.symbol >= 0 > shown.symbol
+    return replace(state, pictured=new, pictured_ns=t_ns) if over or better else state
 
 
 def _controller(state: State, status: ControllerStatus, t_ns: int) -> State:
     if state.controller is not None and _stale(state.controller, status):
         return state
-    return _judge(
-        replace(
-            state,
-            controller=status,
-            controller_seen_ns=t_ns,
-            texts=_with_text(state.texts, status.sending),
-        )
-    )
+    texts = _with_text(state.texts, status.secrets.text)
+    return _judge(replace(state, controller=status, controller_seen_ns=t_ns, texts=texts))
 
 
 def _tap(state: State, status: TapStatus, t_ns: int) -> State:
-    before = state.taps.get(status.name)
-    if before is not None and _stale(before.status, status):
-        return state
-    if before is None and len(state.taps) >= TAPS_KEPT:
+    tap = state.taps.get(status.name)
+    if tap is None and len(state.taps) >= TAPS_KEPT:
         return replace(state, refused=state.refused + 1)
-    guesses = dict(before.guesses) if before is not None else {}
-    tail = zip(
-        status.tail_k,
-        status.tail_symbol,
-        status.tail_probability,
-        status.tail_agreed,
-        strict=False,
+    if tap is None:
+        tap = TapState(status, t_ns)
+    elif _stale(tap.status, status):
+        return state
+    told = {guess.k: guess for guess in status.tail}
+    agreed = {k: state.truths[k].symbol for k in told if k in state.truths}
+    agreed = {k: symbol for k, symbol in agreed.items() if symbol >= 0}
+    tap = _compared(tap, {k: symbol for k, symbol in agreed.items() if k in tap.guesses}, -1)
+    tap = replace(
+        tap,
+        status=status,
+        seen_ns=t_ns,
+        guesses=_newest({**tap.guesses, **told}, STEPS_KEPT),
+        watched=tap.watched or (status.belief.solved_k < 0 and bool(state.texts)),
     )
-    for k, symbol, probability, agreed in tail:
-        guesses[k] = ShownGuess(symbol, probability, agreed)
-    kept = _newest(guesses, STEPS_KEPT)
-    gone = _compared(
-        state, guesses, guesses.keys() - kept.keys() if len(kept) < len(guesses) else ()
-    )
-    tap = TapState(
-        status,
-        t_ns,
-        kept,
-        pairs=gone if before is None else gone + Counter(before.pairs),
-        exact=before is not None and before.exact,
-        watched=(before is not None and before.watched)
-        or (status.solved_k < 0 and bool(state.texts)),
-    )
+    tap = _compared(tap, agreed)
     return _judge(replace(state, taps={**state.taps, status.name: tap}))
 
 
-def _compared(
-    state: State, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
-) -> Counter[tuple[int, int]]:
-    """Of these steps the agreed ones that a tap has guessed, by its guess and the truth."""
-    found: Counter[tuple[int, int]] = Counter()
-    for k in steps:
-        guess, truth = guesses.get(k), state.truths.get(k)
-        if guess is not None and truth is not None and truth.symbol >= 0:
-            found[guess.symbol, truth.symbol] += 1
-    return found
-
-
-def compared(state: State, tap: TapState) -> Counter[tuple[int, int]]:
-    """The agreed steps that a tap has guessed so far, by its guess and the truth."""
-    return _compared(state, tap.guesses, tap.guesses) + Counter(tap.pairs)
-
-
-def _forgotten(state: State, steps: Collection[int]) -> dict[str, TapState]:
-    """The taps without their guesses of these steps, which are counted."""
-    taps = {}
-    for name, tap in state.taps.items():
-        pairs = _compared(state, tap.guesses, steps) + Counter(tap.pairs)
-        guesses = {k: guess for k, guess in tap.guesses.items() if k not in steps}
-        taps[name] = replace(tap, guesses=guesses, pairs=pairs)
-    return taps
+def _compared(tap: TapState, agreed: Mapping[int, int], times: int = 1) -> TapState:
+    """The tap, of whose guesses those of these steps count, or (-1) do not count any more."""
+    if not agreed:
+        return tap
+    pairs = Counter(tap.pairs)
+    for k, symbol in agreed.items():
+        pairs[tap.guesses[k].symbol, symbol] += times
+    return replace(tap, pairs=pairs)
 
 
 def _judge(state: State) -> State:
@@ -310,15 +251,12 @@ def _judge(state: State) -> State:
     found = {
         name: replace(tap, exact=True)
         for name, tap in state.taps.items()
-        if not tap.exact and tap.status.message and tap.status.message in state.texts
+        if not tap.exact and tap.status.belief.message in state.texts
     }
     return replace(state, taps={**state.taps, **found}) if found else state
 
 
-def _stale(
-    known: PlantStatus | ControllerStatus | TapStatus,
-    new: PlantStatus | ControllerStatus | TapStatus,
-) -> bool:
+def _stale(known: Status | TapStatus, new: Status | TapStatus) -> bool:
     # A service that was started again counts from zero but its clock is later: not stale.
     return new.seq < known.seq and new.t_ns < known.t_ns
 

@@ -116,8 +116,3 @@ def count(value: int) -> str:
 def percent(right: int, scored: int) -> str:
     """A share in whole per cent, never rounded up to a hundred."""
     return f"{100 * right // scored} %" if scored else "-"
-
-
-def figure(value: float | None) -> str:
-    """A figure with two decimals, or a dash where there is none."""
-    return "-" if value is None else f"{value:.2f}"

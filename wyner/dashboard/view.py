@@ -173,8 +173,8 @@ class _Page:
             about.append(f"session {plant.session[:8]}")
             if model is not None and model.seeded:
                 parts.append("SEEDED: no secret")
-            if plant.frames_refused:
-                parts.append(f"{count(plant.frames_refused)} frames refused")
+            if plant.frame.refused:
+                parts.append(f"{count(plant.frame.refused)} frames refused")
             if plant.attack:
                 parts.append(f"ATTACK: {drawn(plant.attack)}")
         if controller is not None and controller.phase != "running":
@@ -228,22 +228,22 @@ class _Page:
         if plant is None:
             waiting = [line(" no word from the plant yet"), *[line()] * 4]
             return [rule("Control loop", width), *waiting, *self.keys(width)]
-        notes = [f"wrong keys {count(plant.symbol_errors)}"]
+        counts, wrong = plant.step, plant.step.symbol_errors
+        notes = [f"wrong keys {count(wrong)}"]
         if plant.sessions > 1:
             notes.insert(0, f"{notes[0]}  session {count(plant.sessions)}")
-        title = rule(
-            "Control loop", width, *notes, style=STYLES["bad"] if plant.symbol_errors else ""
-        )
-        pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
-        seconds = "" if model is None else f"  {plant.k * model.period_s:.1f} s"
-        missed = f"  missed {count(plant.missed)}" if plant.missed else ""
+        title = rule("Control loop", width, *notes, style=STYLES["bad"] if wrong else "")
+        rate_hz = plant.timing.rate_hz
+        pace = f"  {longest(7, f'{rate_hz:.1f}', number(rate_hz))} steps/s"
+        seconds = "" if model is None else f"  {counts.k * model.period_s:.1f} s"
+        missed = f"  missed {count(counts.missed)}" if counts.missed else ""
         room = width - cell_len(missed)
-        begun = f" step {plant.k}"
+        begun = f" step {counts.k}"
         step = line(longest(room, f"{begun}{seconds}{pace}", f"{begun}{pace}", begun))
-        bad = plant.missed * TOO_MANY > plant.transitions + plant.missed
+        bad = counts.missed * TOO_MANY > counts.transitions + counts.missed
         step.append(missed, STYLES["bad"] if bad else "")
         rate = line(f" {rate_in_words(self.state)}")
-        states = self._states(plant.x, width, height - LOOP_ROWS + 2)
+        states = self._states(counts.x, width, height - LOOP_ROWS + 2)
         return [title, step, *states, rate, self._control(width), *self.keys(width)]
 
     def _control(self, width: int) -> Text:
@@ -299,7 +299,7 @@ class _Page:
         size = self.state.candidates
         wide = len(symbol_of(0, size))
         agreed = agreed[-(max(0, width - VALUE_AT) // wide) :]
-        total = plant.agreements if plant else 0
+        total = plant.step.agreements if plant else 0
         truth = "".join(symbol_of(truths[k].symbol, size) for k in agreed)
         first = labelled(f"{count(total)} {'key' if total == 1 else 'keys'}", line(truth))
         if not self.taps:
@@ -349,17 +349,19 @@ class _Page:
         sent, recovered = letters(state.sent), letters(state.recovered)
         start = self._start(sent, len(recovered))
         note = f"{len(recovered)} of {len(sent)} characters"
-        if its := state.controller:
-            note += f"; messages delivered: {count(its.delivered)}, waiting: {count(its.queue)}"
+        if (controller := state.controller) is not None:
+            frame = controller.frame
+            note += f"; messages delivered: {count(frame.delivered)}"
+            note += f", waiting: {count(frame.queue)}"
         lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
-        tap = next((tap for tap, _ in self.taps if tap.status.key_bits_held < 0), None)
+        tap = next((tap for tap, _ in self.taps if tap.status.keys is None), None)
         if tap is None:
             return [*lines, *(labelled(text, line()) for text in _NO_TAP)]
-        truth = letters(truth_for(state, tap.status.message))
+        hers = letters(tap.status.belief.message)
+        truth = letters(truth_for(state, tap.status.belief.message))
         same = truth == sent
-        hers = letters(tap.status.message)
         hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
         guess, marks = self._marked(hers, truth, start if same else 0)
         lines.append(labelled(tap.status.name, guess))

@@ -54,7 +54,7 @@ class RunStatus:
             **self.written,
             "claim": self.claim,
             "distance": self.distance,
-            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED},
+            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
             "warnings": list(self.warnings),
         }
 
@@ -113,7 +113,7 @@ def _status_of(run_dir: Path) -> RunStatus:
     except ValidationError as error:
         raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
     claim, distance = _claim(run_dir)
-    distance *= 0 if plant is None else plant.key_blocks_begun
+    distance *= 0 if plant is None else plant.keys.begun
     lines = [*_of_plant(plant, claim, distance), *_of_controller(controller)]
     others = [name for name in written if name not in ("plant", "controller")]
     lines += [f"{name:<12}{written[name].get('health', 'reports')}" for name in others]
@@ -163,16 +163,17 @@ def _claim(run_dir: Path) -> tuple[str, float]:
 def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterator[str]:
     if plant is None:
         return
-    lost = f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else ""
-    why = plant.keys_refused or claim
+    step, keys = plant.step, plant.keys
+    lost = f", blocks lost: {keys.lost}" if keys.lost else ""
+    why = keys.refused or claim
     yield (
-        f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
-        f"messages, {plant.agreements} keys agreed"
+        f"plant       {plant.phase}, step {step.k}, {step.missed} missed, {plant.frame.messages} "
+        f"messages, {step.agreements} keys agreed"
     )
-    yield f"keys        {plant.keys_made} distilled{lost}{f'; {why}' if why else ''}"
-    if plant.key_blocks_begun and not plant.keys_refused:
+    yield f"keys        {keys.made} distilled{lost}{f'; {why}' if why else ''}"
+    if keys.begun and not keys.refused:
         yield (
-            f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
+            f"blocks      {keys.begun} begun, void and aborted ones too: together "
             f"{distance:.2g} from perfect keys at most"
         )
 
@@ -180,30 +181,31 @@ def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterato
 def _of_controller(controller: ControllerStatus | None) -> Iterator[str]:
     if controller is None:
         return
+    frame, keys, alarms = controller.frame, controller.keys, controller.alarms
     yield (
-        f"controller  {controller.phase}, {controller.transitions} transitions counted, "
-        f"{controller.delivered} delivered, {controller.queue} queued, "
-        f"{controller.keys_made} keys distilled"
+        f"controller  {controller.phase}, {controller.step.transitions} transitions counted, "
+        f"{frame.delivered} delivered, {frame.queue} queued, {keys.made} keys distilled"
     )
-    if controller.watched + controller.unwatched:
+    if alarms.watched + alarms.unwatched:
         yield (
-            f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, "
-            f"{controller.digits_left} digits left"
+            f"keyed coin  {alarms.watched} steps watched, {alarms.unwatched} not, "
+            f"{keys.digits_left} digits left"
         )
 
 
 def _warnings_of_plant(plant: PlantStatus | None) -> list[str]:
     if plant is None:
         return []
+    step, keys = plant.step, plant.keys
     found = [plant.detail] if plant.detail else []
-    if plant.outside:
-        found.append(f"d was outside D_c in {plant.outside} steps")
-    if plant.symbol_errors:
-        found.append(f"{plant.symbol_errors} agreed keys are not the input that was applied")
-    if plant.keys_stopped:
-        found.append(f"keys stopped: {plant.keys_stopped}")
-    if plant.keys_refused:
-        found.append(f"keys: {plant.keys_refused}")
+    if step.outside:
+        found.append(f"d was outside D_c in {step.outside} steps")
+    if step.symbol_errors:
+        found.append(f"{step.symbol_errors} agreed keys are not the input that was applied")
+    if keys.stopped:
+        found.append(f"keys stopped: {keys.stopped}")
+    if keys.refused:
+        found.append(f"keys: {keys.refused}")
     return found
 
 
@@ -212,12 +214,12 @@ def _warnings_of_controller(
 ) -> list[str]:
     if controller is None:
         return []
-    alarms = controller.alarm_sentence()
+    alarms = controller.alarms.sentence()
     found = [alarms] if alarms else []
-    if controller.unexplained:
-        found.append(f"{controller.unexplained} transitions that no candidate explains")
-    if controller.keys_stopped and (plant is None or not plant.keys_stopped):
-        found.append(f"keys stopped at the controller: {controller.keys_stopped}")
+    if controller.step.unexplained:
+        found.append(f"{controller.step.unexplained} transitions that no candidate explains")
+    if controller.keys.stopped and (plant is None or not plant.keys.stopped):
+        found.append(f"keys stopped at the controller: {controller.keys.stopped}")
     return found
 
 
