@@ -16,15 +16,13 @@ from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import CIPHER
 from runtime.bus import Bus
-from runtime.chance import symbols
+from runtime.chance import new_id, symbols
 from runtime.end_service import Common, EndConfig, EndService, Open
 from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet import FleetLoop
-from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
 from runtime.logs import logger
-from runtime.model import load_model
 from runtime.ports import Files
 from runtime.recording import TraceWriter
 from runtime.run_folder import (
@@ -32,7 +30,7 @@ from runtime.run_folder import (
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
 )
-from runtime.user_code import UserCodeError
+from runtime.user_code import UserCodeError, load_model
 
 
 @dataclass(frozen=True, slots=True)

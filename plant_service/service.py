@@ -18,13 +18,12 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.scenario import AttackTable
 from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
-from runtime.chance import noise, symbols
+from runtime.chance import new_id, noise, symbols
 from runtime.end_service import Common, EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically
 from runtime.fleet import SLOTS, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
-from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
 from runtime.logs import logger
 from runtime.ports import Files

@@ -12,6 +12,11 @@ from protocol.secret.nonces import NONCE_BYTES, NonceSource
 from protocol.streams import DISTURBANCE, SeededSymbols, Stream, SymbolSource
 
 
+def new_id() -> str:
+    """A random id of 64 bits, as 16 hexadecimal digits."""
+    return os.urandom(8).hex()
+
+
 def fresh_nonce() -> str:
     """A nonce from the operating system's generator, in base64."""
     return b2a_base64(os.urandom(NONCE_BYTES), newline=False).decode()

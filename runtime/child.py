@@ -28,7 +28,7 @@ LOOK_S: Final = 0.1
 """Seconds between two looks whether a child that says nothing is still there."""
 
 
-class Child:
+class ChildProcess:
     """A process that runs a module as a program, in a group of its own: Ctrl-C is not for it.
 
     Parameters

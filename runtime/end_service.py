@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from protocol.link.endpoint import Endpoint
 from protocol.scenario import Scenario
@@ -104,19 +104,12 @@ It raises UsageError, Failure or OSError where that cannot be.
 """
 
 
-class Runs(Protocol):
-    """What can be run."""
-
-    def run(self) -> int:
-        """Run; returns the exit code."""
-
-
 def run_end(
     options: EndOptions,
     log: logging.Logger,
     message: bytes | None,
     own: Callable[[Scenario], Common],
-    single: Callable[[Common, Bus, Bus, threading.Event], Runs],
+    single: Callable[[Common, Bus, Bus, threading.Event], EndService[Any]],
     open_end: Open,
 ) -> int:
     """Run one end, or that of each loop of a fleet, until it is over; returns the exit code.

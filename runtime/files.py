@@ -175,41 +175,25 @@ def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
     Raises
     ------
     OSError
-        Also when ``path`` is no regular file.
+        With the file's name; also when ``path`` is no regular file.
     """
     with replacing(path, mode) as partial:
-        partial.write_bytes(data)
-
-
-class StatusFile:
-    """A file that is written again and again, whole for every reader.
-
-    It is written beside ``path``, and takes its place by a rename. What a power cut would leave of
-    a status matters to nobody.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._spare = path.with_name(f".spare-{path.name}")
-
-    def write(self, data: bytes) -> None:
-        """Replace the file.
-
-        Raises
-        ------
-        NotRegular
-            When something else stands there; it is left as it is.
-        OSError
-            Also when there is no room.
-        """
-        refuse_irregular(self._path)
-        self._spare.unlink(missing_ok=True)  # what a process that died was writing
-        file = open_private(self._spare, os.O_WRONLY | os.O_CREAT)
         try:
-            if os.write(file, data) < len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            partial.write_bytes(data)
         except OSError as error:  # what is done to a file that is open does not name it
-            raise OSError(error.errno, error.strerror, str(self._path)) from None
-        finally:
-            os.close(file)
-        self._spare.replace(self._path)
+            raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def cache_folder(kind: str) -> Path:
+    """Where designs are kept: ``$XDG_CACHE_HOME/wyner/KIND``, else ``~/.cache/wyner/KIND``.
+
+    A user without a home is given a folder that cannot be made: nothing is kept.
+    """
+    base = os.environ.get("XDG_CACHE_HOME")
+    if base and Path(base).is_absolute():
+        return Path(base) / "wyner" / kind
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path(os.devnull)
+    return home / ".cache" / "wyner" / kind

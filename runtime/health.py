@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from pydantic_core import from_json, to_json
 
 from protocol.messages import PlantStatus, Status
-from runtime.files import StatusFile, read_regular
+from runtime.files import read_regular, write_atomically
 
 WINDOW_S: Final = 10.0
 """Seconds over which missed steps are counted."""
@@ -133,7 +133,7 @@ class HealthFiles:
     """
 
     def __init__(self, path: Path, log: logging.Logger) -> None:
-        self._status = StatusFile(path)
+        self._path = path
         self._pulse = Liveness()
         self._unwritten = ""
         self.log = log
@@ -153,7 +153,7 @@ class HealthFiles:
             health = f"bad: this file could not be written until now: {self._unwritten}"
         body = b'{"health":%b,%b' % (to_json(health), status.on_file().removeprefix(b"{"))
         try:
-            self._status.write(body)
+            write_atomically(self._path, body)
         except OSError as error:
             why = f"{error.filename or ''}: {error.strerror}"
             if why != self._unwritten:

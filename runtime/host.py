@@ -16,13 +16,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.endpoint import Endpoint
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
-from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, BusChannel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
@@ -57,13 +57,6 @@ late, and so would every answer after it."""
 
 FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on the management bus."""
-
-
-class _Extracted(NamedTuple):
-    """A key block of a loop is extracted, or none can be any more."""
-
-    loop: str
-    block: ExtractedBlock | ExtractionFailed
 
 
 @dataclass(slots=True)
@@ -150,9 +143,10 @@ class Host:
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _Extracted | None] = Inbox()
-        self.channels: dict[str, BusChannel] = {}
-        self._heard_on_management: set[str] = set()
+        self._inbox: Inbox[Callable[[], None]] = Inbox()
+        """What the main thread does next, under the lock."""
+        self._subscribed: set[str] = set()
+        self._channels: list[BusChannel] = []
         self._threads: list[threading.Thread] = []
         self._extraction: Extraction | None = None
         self._health = HealthWriter()
@@ -171,23 +165,12 @@ class Host:
     def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self.turns:
-            publishers = {
-                kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
-                for kind in endpoint.sends
-            }
-            extract = None
-            if endpoint.makes_keys:
-                crowding = partial(self._crowding, loop)
-                for kind in publishers.keys() & FIELD:
-                    publishers[kind] = Sparing(publishers[kind], crowding)
-                if self._extraction is None:
-                    from runtime.extraction import Extraction  # what others need not load
-
-                    self._extraction = Extraction()
-                extract = partial(
-                    self._extraction.put,
-                    tell=lambda block: self._inbox.put(_Extracted(loop, block), None),
-                )
+            publishers: dict[type[Message], Publisher] = {}
+            for kind in endpoint.sends:
+                publishers[kind] = self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
+                if endpoint.makes_keys and kind in FIELD:
+                    publishers[kind] = Sparing(publishers[kind], partial(self._crowding, loop))
+            extract = self._extracting(loop) if endpoint.makes_keys else None
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
             ports = LoopPorts(files, publishers, log, told, extract)
             self._loops[loop] = _Loop(endpoint, ports, look=endpoint.makes_keys)
@@ -198,18 +181,32 @@ class Host:
 
     def subscribe(self, kind: type[Message], key_expr: str) -> None:
         """Hear what comes on a key, once for all loops."""
-        if key_expr in self.channels:
+        if key_expr in self._subscribed:
             return
+        self._subscribed.add(key_expr)
         if kind in FIELD:
             channel = self._field.channel(key_expr, CAPACITY)
-            self.channels[key_expr] = channel
+            self._channels.append(channel)
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
-        elif key_expr not in self._heard_on_management:
-            self._heard_on_management.add(key_expr)
-            self._management.subscribe(
-                key_expr, lambda key, body, _t: self._inbox.put((key, body), len(body))
-            )
+            return
+
+        def deliver(key: str, payload: bytes, _t_ns: int) -> None:
+            self._inbox.put(partial(self._hear, key, payload), len(payload))
+
+        self._management.subscribe(key_expr, deliver)
+
+    def _extracting(self, loop: str) -> Callable[[ClosedBlock], None]:
+        """What has the key blocks of a loop extracted."""
+        if self._extraction is None:
+            from runtime.extraction import Extraction  # what others need not load
+
+            self._extraction = Extraction()
+
+        def tell(block: ExtractedBlock | ExtractionFailed) -> None:
+            self._inbox.put(partial(self._extracted, loop, block), None)
+
+        return partial(self._extraction.put, tell=tell)
 
     def _bus(self, kind: type[Message]) -> Bus:
         return self._field if kind in FIELD else self._management
@@ -267,7 +264,7 @@ class Host:
         except BaseException as error:
             self._error = error
             self._stopping.set()
-            self._inbox.put(None, None)
+            self._inbox.put(_look_up, None)
 
     def _wake(self) -> None:
         """Wake some who are due, so that offers get through between them.
@@ -294,9 +291,9 @@ class Host:
             self._sleeps_until = min(until, now + POLL_S)
 
     def _take(self) -> None:
-        """Wait for a message on the management bus, or for the next wake."""
+        """Wait for a message on the management bus or a key block, or for the next wake."""
         try:
-            item = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
+            act = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
         except queue.Empty:
             return
         if self._inbox.dropped > self._dropped:
@@ -304,14 +301,8 @@ class Host:
             text = f"messages come faster than they are taken: {self._dropped} dropped so far"
             for loop in list(self._loops.values())[:1]:
                 loop.ports.log_notice(Notice(text, "warning", "flood"))
-        if item is None:
-            return
         with self.turns:
-            if not isinstance(item, _Extracted):
-                self._hear(*item)
-            elif item.loop in self._loops:
-                endpoint = self._loops[item.loop].endpoint
-                self._do(item.loop, partial(_told, endpoint, item.block))
+            act()
 
     # --- under the lock ---------------------------------------------------------------------------
 
@@ -340,6 +331,12 @@ class Host:
         loop = self._loops.get(name)
         if loop is not None:
             self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
+
+    def _extracted(self, name: str, block: ExtractedBlock | ExtractionFailed) -> None:
+        """A key block of a loop is extracted, or none can be any more."""
+        loop = self._loops.get(name)
+        if loop is not None:
+            self._do(name, lambda _now: loop.endpoint.extracted(block))
 
     def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]
@@ -373,7 +370,7 @@ class Host:
             heapq.heappush(self._wakes, (due, name))
             if due < self._sleeps_until:
                 self._sleeps_until = due
-                self._inbox.put(None, None)
+                self._inbox.put(_look_up, None)
 
     def _end(self, name: str) -> None:
         """Stop an end and close its files."""
@@ -394,7 +391,7 @@ class Host:
             self._field.left(name)
             self._management.left(name)
         if not self._loops:
-            self._inbox.put(None, None)
+            self._inbox.put(_look_up, None)
 
     @contextmanager
     def _lost(self, loop: _Loop, *kinds: type[Exception]) -> Iterator[None]:
@@ -416,7 +413,7 @@ class Host:
             for thread in self._threads:
                 if thread.ident is not None:  # an interrupt may have come before it was started
                     last.callback(thread.join, LAST_S)
-            for channel in self.channels.values():
+            for channel in self._channels:
                 last.callback(channel.close)
 
     def _end_all(self) -> None:
@@ -425,6 +422,5 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Endpoint, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
-    """Tell an end of its block."""
-    return endpoint.extracted(block)
+def _look_up() -> None:
+    """Nothing to do, but the main thread is to look at its timers and signals now."""

@@ -5,7 +5,6 @@ import sys
 import time
 
 from protocol.text import printable
-from runtime.rates import Throttle
 
 
 class _Printable(logging.Formatter):
@@ -30,6 +29,31 @@ def logger(service: str) -> logging.Logger:
     return log
 
 
+class Burst:
+    """Lets a few through at once, and after them so many a second on average (a token bucket).
+
+    Parameters
+    ----------
+    most : float
+        At once.
+    rate_hz : float
+    """
+
+    def __init__(self, most: float = 30.0, rate_hz: float = 1.0) -> None:
+        self._most = most
+        self._rate_hz = rate_hz
+        self._left = most
+        self._at = 0.0
+
+    def allows(self, now_s: float) -> bool:
+        """Whether one more may pass at monotonic time ``now_s``; if so it counts."""
+        refilled = min(self._left + (now_s - self._at) * self._rate_hz, self._most)
+        if refilled < 1:
+            return False
+        self._left, self._at = refilled - 1, now_s
+        return True
+
+
 class RateLimitedLog:
     """Counts what goes wrong and logs it once a second at most, with the count since.
 
@@ -41,7 +65,7 @@ class RateLimitedLog:
         self._log = log
         self._text = ""
         self._untold = 0
-        self._throttle = Throttle(1.0)
+        self._limit = Burst(1, 1.0)
 
     def add(self, text: str) -> None:
         """Count one more, and log it unless one was logged within the last second."""
@@ -58,7 +82,7 @@ class RateLimitedLog:
         last : bool
             At once, for there is no later.
         """
-        if self._untold and (last or self._throttle.ready(time.monotonic())):
+        if self._untold and (last or self._limit.allows(time.monotonic())):
             before = self._untold - 1
             more = f" (and {before} more since the last such line)" if before else ""
             self._log.warning("%s%s", self._text, more)

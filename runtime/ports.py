@@ -13,8 +13,7 @@ from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.logs import RateLimitedLog
-from runtime.rates import Burst
+from runtime.logs import Burst, RateLimitedLog
 from runtime.recording import TraceWriter
 
 
@@ -34,54 +33,15 @@ class Files:
             self.journal.close()
 
 
-class BusPorts:
-    """Where an end speaks: its publishers and its log.
-
-    Parameters
-    ----------
-    publishers : dict
-        By the type of message.
-    log : logging.Logger
-    """
-
-    def __init__(self, publishers: dict[type[Message], Publisher], log: logging.Logger) -> None:
-        self.publishers, self.log = publishers, log
-        self.limited: dict[str, RateLimitedLog] = {}
-        self.burst = Burst()
-
-    def publish(self, message: Message) -> None:
-        """Put it on the bus that its type belongs to."""
-        self.publishers[type(message)].put(message.wire())
-
-    def log_notice(self, notice: Notice) -> None:
-        """Log it; with a subject once a second at most."""
-        if not notice.subject:
-            if self.burst.allows(time.monotonic()):
-                self.log.log(_LEVELS[notice.level], "%s", notice.text)
-            else:
-                self._limited("lines").add(notice.text)
-            return
-        self._limited(notice.subject).add(notice.text)
-
-    def _limited(self, subject: str) -> RateLimitedLog:
-        if subject not in self.limited:
-            self.limited[subject] = RateLimitedLog(self.log)
-        return self.limited[subject]
-
-    def report_held_back(self, *, last: bool = False) -> None:
-        """Tell what the log still owes of floods."""
-        for limited in tuple(self.limited.values()):  # a flood is told beside the turns
-            limited.report_held_back(last=last)
-
-
-class LoopPorts(BusPorts):
+class LoopPorts:
     """The ports of one end of one loop: its files, its publishers, its log.
 
     Parameters
     ----------
     files : Files
-    publishers, log
-        As for :class:`BusPorts`.
+    publishers : dict
+        By the type of message.
+    log : logging.Logger
     tell_health : callable
         Has the status kept in the run's folder.
     extract : callable, optional
@@ -96,8 +56,24 @@ class LoopPorts(BusPorts):
         tell_health: Callable[[Status], None],
         extract: Callable[[ClosedBlock], None] | None = None,
     ) -> None:
-        super().__init__(publishers, log)
-        self.files, self.tell_health, self._extract = files, tell_health, extract
+        self.files, self.publishers, self.log = files, publishers, log
+        self._tell_health, self._extract = tell_health, extract
+        self._limited: dict[str, RateLimitedLog] = {}
+        self._burst = Burst()
+
+    def publish(self, message: Message) -> None:
+        """Put it on the bus that its type belongs to."""
+        self.publishers[type(message)].put(message.wire())
+
+    def log_notice(self, notice: Notice) -> None:
+        """Log it; with a subject, or after a burst of others, once a second at most."""
+        if not notice.subject and self._burst.allows(time.monotonic()):
+            self.log.log(_LEVELS[notice.level], "%s", notice.text)
+            return
+        subject = notice.subject or "lines"
+        if subject not in self._limited:
+            self._limited[subject] = RateLimitedLog(self.log)
+        self._limited[subject].add(notice.text)
 
     def save(self, save: Save) -> None:
         """Write to the journal.
@@ -119,13 +95,17 @@ class LoopPorts(BusPorts):
 
     def health(self, status: Status) -> None:
         """Have the status and the health line replaced; tell what the log still owes."""
-        self.tell_health(status)
-        self.report_held_back()
+        self._tell_health(status)
+        self._report_held_back()
 
     def close(self) -> None:
         """Tell the rest of the log, and close the files."""
-        self.report_held_back(last=True)
+        self._report_held_back(last=True)
         self.files.close()
+
+    def _report_held_back(self, *, last: bool = False) -> None:
+        for limited in tuple(self._limited.values()):  # a flood is told beside the turns
+            limited.report_held_back(last=last)
 
 
 _LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

@@ -282,18 +282,15 @@ class Bounds(BaseModel):
         is left when the oldest is dropped.
     total_bytes : int
         Bound of all parts together, the one in use included; the oldest are dropped to keep to it.
-    part_s : float
-        Age at which a part ends, of a recording that pauses on a full disk.
     free_bytes : int
-        Room that must stay free on the disk; such a recording pauses below it, and nothing is
-        dropped.
+        Room that must stay free on the disk; a recording that pauses on a full disk pauses below
+        it, and nothing is dropped.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     part_bytes: int = Field(64 * _MIB, ge=1024)
     total_bytes: int = Field(1024 * _MIB, ge=2048)
-    part_s: float = Field(3600.0, gt=0)
     free_bytes: int = Field(256 * _MIB, ge=0)
 
     @property
@@ -366,25 +363,20 @@ class Recording:
         which `HELD_BYTES` of lines bring about by themselves; else at once, in one piece.
         """
         length = sum(map(len, lines)) + len(lines)
-        if self._log is None:
-            assert self.lines is not None, "the recording is closed"
-            if self.lines.size + length > self._most:
-                self._turn(length)
-            self.lines.append(*lines)
-            self.written += len(lines)
-            return
-        self._look(time.monotonic())
-        if length + 2 * END_BYTES > self._bounds.total_bytes:
-            self.dropped += len(lines)
-            return
+        if self._log is not None:
+            self._look(time.monotonic())
+            if length + 2 * END_BYTES > self._bounds.total_bytes:
+                self.dropped += len(lines)
+                return
         if self.lines is not None and self.lines.size + self._held_bytes + length > self._most:
             self._turn(length)
         if self.lines is None:
+            assert self._log is not None, "the recording is closed"
             self.dropped += len(lines)
             return
         self._held += lines
         self._held_bytes += length
-        if self._held_bytes >= HELD_BYTES:
+        if self._log is None or self._held_bytes >= HELD_BYTES:
             self.flush()
 
     def flush(self) -> None:
@@ -398,6 +390,8 @@ class Recording:
         except OSError as error:
             whole = self.lines.count - before
             self.written += whole
+            if self._log is None:
+                raise
             self.dropped += len(held) - whole
             self._pause(error.strerror or "write failed")
         else:
@@ -430,7 +424,6 @@ class Recording:
         """Open a part with room for a line of ``length`` bytes; then the oldest go as need be."""
         header = {"part": number, **self._header}
         needed = max(self._bounds.of_a_part, len(dumps(header)) + length + 2 * END_BYTES)
-        self._began = time.monotonic()
         self._next_look = 0.0
         if self._log is not None and needed > self._bounds.total_bytes:
             self._pause("the bound of all parts has no room for a header")
@@ -478,14 +471,12 @@ class Recording:
             self._log.error("%s: recording paused: %s", self._path, why)
 
     def _look(self, now: float) -> None:
-        """Once a second: the part's age, and the room that the disk has left."""
+        """Once a second: the room that the disk has left."""
         if now < self._next_look:
             return
         if self.free_bytes() < self._bounds.free_bytes:
             self._pause(f"less than {self._bounds.free_bytes} bytes are free on the disk")
-        elif self.lines is None or now - self._began >= self._bounds.part_s:
-            self.flush()
-            self._end(last=False)
+        elif self.lines is None:
             self._begin(self.number + 1)
         self._next_look = now + self.LOOK_AT_DISK_S
 

@@ -18,7 +18,7 @@ from typing import Final
 from pydantic_core import from_json
 
 from protocol.messages import TapStatus
-from runtime.child import Child
+from runtime.child import ChildProcess
 from runtime.run_folder import ANALYSIS_GUESSES
 from tap_service.analysis import Assignment
 from tap_service.config import TapConfig, eighth, runs_beside
@@ -67,7 +67,7 @@ class Beside:
     ----------
     down : str
         Why nobody runs there now, as ``its process died (signal 9)``; empty while somebody does.
-    process : Child
+    process : ChildProcess
         The last one that was started.
 
     Parameters
@@ -92,7 +92,7 @@ class Beside:
         self.down = ""
         self._done = False
         self._starts += 1
-        self.process = Child("tap_service.analysis")
+        self.process = ChildProcess("tap_service.analysis")
         try:
             self.process.line.send(self._assignment)
             if self._finishing:

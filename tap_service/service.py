@@ -18,10 +18,9 @@ from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
-from runtime.files import StatusFile
+from runtime.files import write_atomically
 from runtime.inbox import Inbox
-from runtime.logs import RateLimitedLog, logger
-from runtime.rates import Throttle
+from runtime.logs import Burst, RateLimitedLog, logger
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from tap_service.beside import Beside, assignments_of
 from tap_service.capture.channel import WiretapChannel
@@ -81,8 +80,8 @@ class TapService:
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
-        self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
-        self._status_file = StatusFile(config.run_dir / TAP_STATUS)
+        self._beliefs_path = config.run_dir / BELIEFS
+        self._status_path = config.run_dir / TAP_STATUS
         self._restarts = _starts_before(config.run_dir)
 
     def begin(self) -> None:
@@ -130,15 +129,15 @@ class TapService:
         """Mirror, guess and publish until ``stopping``; then guess what is left."""
         names = ", ".join(self._config.names) or "none"
         self.log.info("listening on loop %s, eavesdroppers: %s", self._config.loop, names)
-        status = Throttle(STATUS_PERIOD_S)
-        beliefs = Throttle(BELIEFS_PERIOD_S)
+        status = Burst(1, 1 / STATUS_PERIOD_S)
+        beliefs = Burst(1, 1 / BELIEFS_PERIOD_S)
         while not stopping.is_set():
             self.work(0.05)
             time.sleep(GATHER_S)
             now = time.monotonic()
-            if status.ready(now):
+            if status.allows(now):
                 self.publish()
-            if beliefs.ready(now):
+            if beliefs.allows(now):
                 self.write_beliefs()
         self.finish()
 
@@ -290,8 +289,8 @@ class TapService:
             "starts": self._restarts + 1,
         }
         try:
-            self._beliefs_file.write(beliefs_json(self._records))
-            self._status_file.write(to_json(captured))
+            write_atomically(self._beliefs_path, beliefs_json(self._records))
+            write_atomically(self._status_path, to_json(captured))
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from controller_service.sets.design import Design, Terminal
 from protocol.arrays import Array
-from runtime.cache_folder import cache_folder
-from runtime.files import PUBLIC_FILE, write_atomically
+from runtime.files import PUBLIC_FILE, cache_folder, write_atomically
 
 VERSION: Final = 7
 """Of what is computed and how it is kept; a file of another is computed again."""

@@ -1,7 +1,7 @@
 """Recording a capture: every field message as one JSON line, on disk before anyone looks at it.
 
 A capture is one or more parts, ``capture.jsonl``, ``capture.0001.jsonl``, ..., each with a header
-of its own. A part ends by size or age; the oldest are dropped where the whole would outgrow its
+of its own. A part ends by size; the oldest are dropped where the whole would outgrow its
 bound, and for no other reason. Recording pauses while the disk has too little room left. Both are
 counted and said. A writer that is killed loses at most the line it was writing.
 """

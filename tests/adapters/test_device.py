@@ -33,7 +33,7 @@ from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device
-from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
+from tests.support.journals import NO_STEP, plant_journal, step_of
 from tests.support.mail import mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.safety import violations
@@ -263,7 +263,7 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     ends: bool, fallback: str
 ) -> None:
     """What is saved while a device acts names the step: after a death its input is not made up."""
-    bench = Bench(Device(), CopiedPlantJournal(), fallback=fallback)
+    bench = Bench(Device(), fallback=fallback)
     bench.do(bench.offer(0.2))
     chosen = offer, coin, _ = step_of(bench.journal)
     assert offer is not None

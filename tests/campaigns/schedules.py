@@ -25,8 +25,7 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.link.distiller import BlockEnded
-from protocol.link.events import Alarm, Event, Interrupted, Missed
+from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
@@ -36,7 +35,7 @@ from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
 from runtime.perform import CrashPoint
 from tests.support.line import disowned
-from tests.support.once import Copies, Digits
+from tests.support.once import Onlooker
 from tests.support.recorded_pair import law_of
 from tests.support.safety import differing_key, violations
 from wyner.simulate.faults import Faults
@@ -172,13 +171,10 @@ class Watched(Simulation):
     """A simulation whose copies are looked at as they leave, and its device as it is told of."""
 
     def __init__(self, *args: Any, device: Acting | None = None, **kwargs: Any) -> None:
-        self._copies = Copies()
+        self.onlooker = Onlooker(rules_of(args[0]))
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
-        self.blocks: dict[tuple[str, int], int] = {}
-        """Keys of the blocks that an end has confirmed, by session and number."""
-        self.digits = Digits(rules_of(args[0]).digits)
         super().__init__(*args, **kwargs)
 
     def _new_plant(self, incarnations: int) -> PlantCore:
@@ -188,10 +184,8 @@ class Watched(Simulation):
 
     def send(self, to: Side, message: Message) -> None:
         """Look at a message of the loop, and send it."""
-        if isinstance(message, Measurement | Offer) and self.scenario.keys is not None:
-            self._copies.left(message)
-            if isinstance(message, Offer):
-                self.digits.named(message)
+        if isinstance(message, Measurement | Offer):
+            self.onlooker.said(message)
         super().send(to, message)
         if isinstance(message, Offer) and self._device is not None and self.chance(MISLED):
             self.after(self.random.random() * 0.2, self._end_the_session)
@@ -207,14 +201,7 @@ class Watched(Simulation):
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
-        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # keys are short here
-        assert honest, "an honest step made an alarm"
-        if isinstance(event, BlockEnded):
-            assert event.what != "unequal", "the ends hold different blocks"
-            self.blocks[event.session, event.number] = event.keys
-        if isinstance(event, CountedTransition):
-            self.digits.counted(event, coins=self.scenario.defence.keyed)
-            assert not event.refused, "a frame arrived broken"
+        self.onlooker.traced(event)
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -288,7 +275,8 @@ def outcome_of(seed: int) -> Outcome:
     mine, theirs = (link.ends[side].journal.load() for side in ("controller", "plant"))
     if mine.record and theirs.record and mine.record.session.id == theirs.record.session.id:
         lines += filter(None, [differing_key(scenario.secrecy.candidates, mine.held, theirs.held)])
-    return Outcome(sum(link.blocks.values()), link.cut, len(link.digits.watched), tuple(lines))
+    look = link.onlooker
+    return Outcome(sum(look.blocks.values()), link.cut, len(look.digits.watched), tuple(lines))
 
 
 @contextmanager

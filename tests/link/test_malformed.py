@@ -71,7 +71,7 @@ class UnderWay(LinePair):
         super().hear(side, message)
 
     def traced(self, side: Name, event: Event) -> None:
-        """Count message symbols that came through."""
+        """Count message symbols that came through; a spoiled one that fits may break a frame."""
         if side == "plant" and isinstance(event, CountedTransition):
             self.carried += event.role == "message"
 

@@ -16,10 +16,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from protocol.link.effects import Effects, Save
+from protocol.link.effects import Effects
 from protocol.link.events import Event, SessionBegan
 from protocol.link.records import ControllerRecord
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.session import Rules
 from protocol.messages import Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
 from runtime.perform import CrashPoint
@@ -31,54 +31,29 @@ from tests.support.size import size
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
 PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
-SHIFTS = (1.5, 1.25)
-"""What each controller sends, and how far its candidates are from the middle."""
+"""What each controller sends."""
 DEATHS: list[CrashPoint | None] = [*[None] * 5, "saving", "publishing", "tracing", "acting"]
 """Before what of an event a process dies, if it does."""
 
 
-class Chosen:
-    """Random symbols as hypothesis wants them."""
-
-    def __init__(self) -> None:
-        self.next = 0
-
-    def symbol(self, transition: int, size: int) -> int:
-        self.next = (self.next * 5 + 3) % 17
-        return self.next % size
-
-
 class Ends(LinePair):
-    """Ends of which is known what they counted, offered and received, whatever a journal forgets.
+    """Ends of which is known whether a session may end.
 
     Attributes
     ----------
     forgot : bool
-        Whether a session may end with nobody to blame: a journal was lost, or one controller takes
-        over from another before it knows of a frame.
+        With nobody to blame: a journal was lost, or one controller takes over from another before
+        it knows of a frame.
     late_hello : bool
         Whether a hello of a former process of the plant came: it may end a session.
     """
 
     def __init__(self, rules: Rules, step_s: float | None, **more: Any) -> None:
-        self.sent: dict[tuple[str, int], object] = {}
-        self.got: dict[tuple[str, int], object] = {}
-        self.ever: list[bytes] = []
         self.forgot = more["rivals"] is not None
         self.late_hello = False
         self._offered: list[Offer] = []
         self._ciphers: dict[tuple[str, int], int] = {}
-        self._starting = True  # the plant's process counts what the one before it left
-        super().__init__(rules, step_s, PAYLOADS[0], fresh=Chosen(), **more)
-
-    def propose(self, side: Name, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-        M, shift = self.rules.size, SHIFTS[side == "rival"]
-        return tuple([(-x[0] + (2 * i - M + 1) * shift,) for i in range(M)])
-
-    def start(self, side: Name) -> None:
-        self._starting = True
-        super().start(side)
-        self._starting = False
+        super().__init__(rules, step_s, PAYLOADS[0], **more)
 
     def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         super().do(side, act)
@@ -105,34 +80,18 @@ class Ends(LinePair):
             self._offered.append(Offer.model_validate_json(message.payload))
         super().said(side, message)
 
-    def saved(self, side: Name, save: Save) -> None:
-        super().saved(side, save)
-        if save.received is not None:
-            self.ever.append(save.received)
-
     def traced(self, side: Name, event: Event) -> None:
-        if side == "plant" and self.device is not None:
-            self.device.look(event, alive=not self._starting)
+        super().traced(side, event)
         if isinstance(event, SessionBegan) and event.session is not None:
-            grown = any(session != event.session for session, _ in self.got)
+            grown = any(session != event.session for session, _ in self.counted["plant"])
             excused = self.forgot or self.late_hello
             assert excused or not grown, "a session ended with both journals there"
-        if not isinstance(event, CountedTransition):
-            return
-        assert not event.refused
-        if side != "plant":
-            self.sent[event.session, event.j] = event.shared
-            return
-        t = event.shared
-        assert t.session == self.plant.state.record.session.id, "a step counts in another session"
-        assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
 
 
 class Link(RuleBasedStateMachine):
     rival = False
     shared = RULES
     step_s: ClassVar[float | None] = None
-    on_disk = False
     acts = False
 
     def __init__(self) -> None:
@@ -141,7 +100,6 @@ class Link(RuleBasedStateMachine):
             self.shared,
             self.step_s,
             rivals=PAYLOADS[1] if self.rival else None,
-            on_disk=self.on_disk,
             acts=self.acts,
         )
         self.controllers: list[Name] = ["controller", "rival"] if self.rival else ["controller"]
@@ -231,9 +189,6 @@ class Link(RuleBasedStateMachine):
         self.ends.forgot = True
         side = "plant" if plants else data.draw(st.sampled_from(self.controllers))
         self.ends.forget(side)
-        if plants and self.ends.device is not None:
-            self.ends.device.u = None  # what it was told is known to nobody any more
-        self.ends.die(side)
 
     @precondition(lambda self: self.ends.plant.state.session.controller is not None)
     @rule(dies=st.sampled_from(DEATHS))
@@ -246,13 +201,8 @@ class Link(RuleBasedStateMachine):
     # --- the property --------------------------------------------------------------------------
 
     @invariant()
-    def both_agree_on_what_both_counted(self) -> None:
-        for at in self.ends.sent.keys() & self.ends.got.keys():
-            assert self.ends.sent[at] == self.ends.got[at]
-
-    @invariant()
     def messages_arrive_in_order_and_once(self) -> None:
-        inbox = self.ends.ever
+        inbox = self.ends.received
         sent = sum(PAYLOADS[: len(self.controllers)], ())
         assert set(inbox) <= set(sent)
         for payloads in PAYLOADS:
@@ -278,12 +228,6 @@ class Acting(Deadlines):
     rival = True
 
 
-class ActingOnDisk(Acting):
-    """The same with the services' journals."""
-
-    on_disk = True
-
-
 class ActingAtOnce(Acting):
     """The same in lock-step: read as soon as it was actuated."""
 
@@ -296,12 +240,6 @@ class TwoControllers(Deadlines):
     rival = True
 
 
-class OnDisk(TwoControllers):
-    """Journals as the services have them, opened anew from their files after each death."""
-
-    on_disk = True
-
-
 class PipelinedLink(Deadlines):
     """Five candidates that every transition tells apart, and a symbol in every transition."""
 
@@ -309,31 +247,25 @@ class PipelinedLink(Deadlines):
 
     @invariant()
     def every_key_serves_the_next_transition(self) -> None:
-        for (session, j), t in self.ends.got.items():
-            assert isinstance(t, CountedTransition)
+        counted = self.ends.counted["plant"]
+        for (session, j), t in counted.items():
             assert t.symbol >= 0
-            before = self.ends.got.get((session, j - 1))
-            if isinstance(before, CountedTransition):
+            before = counted.get((session, j - 1))
+            if before is not None:
                 assert (t.role, t.key) == ("message", before.symbol)
             elif j == 0:
                 assert t.role == "test"
 
 
-TestLink = Link.TestCase
-TestDeadlines = Deadlines.TestCase
-TestTwoControllers = pytest.mark.slow(TwoControllers.TestCase)
-TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
-TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = settings(
+SETTINGS = settings(
     max_examples=size(16, 40),
     stateful_step_count=60,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
-TestPipelinedLink.settings = TestLink.settings
-TestOnDisk = pytest.mark.slow(OnDisk.TestCase)
-TestOnDisk.settings = settings(TestLink.settings, max_examples=size(6, 12))
-TestActing = Acting.TestCase
+TestLink, TestDeadlines, TestActing = Link.TestCase, Deadlines.TestCase, Acting.TestCase
+TestTwoControllers = pytest.mark.slow(TwoControllers.TestCase)
+TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
 TestActingAtOnce = pytest.mark.slow(ActingAtOnce.TestCase)
-TestActing.settings = TestActingAtOnce.settings = TestLink.settings
-TestActingOnDisk = pytest.mark.slow(ActingOnDisk.TestCase)
-TestActingOnDisk.settings = TestOnDisk.settings
+for kind in (Link, Deadlines, Acting, TwoControllers, PipelinedLink, ActingAtOnce):
+    kind.TestCase.settings = SETTINGS

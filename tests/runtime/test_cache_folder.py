@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.cache_folder import cache_folder
+from runtime.files import cache_folder
 
 
 def test_who_has_no_home_is_given_a_folder_that_cannot_be_made(

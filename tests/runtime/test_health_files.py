@@ -1,7 +1,9 @@
 """Statuses are written beside the loops; no step waits for them, and none ends for them."""
 
+import errno
 import json
 import logging
+import os
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,6 +68,11 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     assert (slow.written, other.written) == ([1, 999], [7])
 
 
+def full(_path: Path, _data: bytes) -> int:
+    """A disk without room."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 @pytest.mark.parametrize("fault", ["folder", "link", "full"])
 def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
     tmp_path: Path,
@@ -81,7 +88,7 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
         elif fault == "link":
             path.symlink_to("/dev/full")
         else:
-            disk.setattr("os.write", lambda _file, data: len(data) - 1)
+            disk.setattr(Path, "write_bytes", full)
         for t in range(5):
             files.write(status(10 * t), float(t))
         told = [record for record in caplog.records if record.levelno >= logging.ERROR]

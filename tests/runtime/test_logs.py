@@ -5,18 +5,13 @@ import time
 
 import pytest
 
-from runtime.logs import RateLimitedLog, logger
-from runtime.rates import Throttle
+from runtime.logs import Burst, RateLimitedLog, logger
 
 
-def test_a_throttle_opens_once_a_period() -> None:
-    throttle = Throttle(1.0)
-    assert [t for t in (0.0, 0.5, 0.999, 1.0, 1.5, 3.0, 3.9, 4.0) if throttle.ready(t)] == [
-        0.0,
-        1.0,
-        3.0,
-        4.0,
-    ]
+def test_a_burst_passes_and_then_one_a_period() -> None:
+    limit = Burst(2, 1.0)
+    times = (100.0, 100.25, 100.5, 101.0, 101.5, 102.0)
+    assert [t for t in times if limit.allows(t)] == [100.0, 100.25, 101.0, 102.0]
 
 
 def test_what_was_not_logged_is_told_once_the_second_is_over_or_at_the_end(

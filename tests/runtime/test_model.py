@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from protocol.scenario import Scenario
-from runtime.model import ModelError, load_model
 from runtime.scenario_file import scenario_of
+from runtime.user_code import ModelError, load_model
 from wyner.api import vary
 
 MODEL = "model.py:predict"

@@ -8,7 +8,6 @@ import pytest
 
 from runtime.files import (
     PUBLIC_FILE,
-    StatusFile,
     open_private,
     replacing,
     write_atomically,
@@ -50,7 +49,6 @@ def test_what_is_no_regular_file_is_left_as_it_is(tmp_path: Path, kind: str) -> 
         target.write_bytes(b"mine")
     for write in (
         lambda: write_atomically(path, b"x"),
-        lambda: StatusFile(path).write(b"x"),
         lambda: open_private(path, os.O_WRONLY | os.O_CREAT),
     ):
         with pytest.raises(OSError, match="not a regular file") as error:

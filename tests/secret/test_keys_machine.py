@@ -13,17 +13,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from controller_service import chooser
-from protocol.link.effects import Save
-from protocol.link.events import Event
 from protocol.link.records import Side
-from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
 from protocol.secret.stream import NOTHING_HELD, NOWHERE, BlockKeys, Held, KeyStream, Position
 from runtime.perform import CrashPoint
 from tests.support.broken import broken, hasty
-from tests.support.keyed_pair import KeyedPair, keyed_rules
-from tests.support.pair import SIDES, Name
+from tests.support.line import keyed_rules
+from tests.support.pair import SIDES, LinePair
 from tests.support.safety import BEYOND, first_held
 from tests.support.size import size
 
@@ -43,45 +40,23 @@ def short_keys() -> Iterator[None]:
         yield
 
 
-class SealedEnds(KeyedPair):
-    """Ends that send messages under the key stream: each arrives once, in order."""
-
-    def __init__(self) -> None:
-        self.received: list[bytes] = []
-        super().__init__(keyed_rules(keyed=True, scheme=Sealed(2)), payloads=PAYLOADS)
-
-    def saved(self, side: Name, save: Save) -> None:
-        super().saved(side, save)
-        if save.received is not None:
-            self.received.append(save.received)
-            assert self.received == list(PAYLOADS[: len(self.received)])
-
-    def traced(self, side: Name, event: Event) -> None:
-        super().traced(side, event)
-        refused = isinstance(event, CountedTransition) and event.refused
-        assert not refused, "a frame arrived broken"
-
-
-def made() -> KeyedPair:
+def made() -> LinePair:
     """Keys are made, and nobody spends them."""
-    return KeyedPair(keyed_rules())
+    return LinePair(keyed_rules())
 
 
-def made_on_disk() -> KeyedPair:
-    """The same with the services' journals, opened anew from their files after each death."""
-    return KeyedPair(keyed_rules(), on_disk=True)
-
-
-def coins() -> KeyedPair:
+def coins() -> LinePair:
     """Keys choose the plant's coin."""
-    return KeyedPair(keyed_rules(keyed=True))
+    return LinePair(keyed_rules(keyed=True))
+
+
+def sealed() -> LinePair:
+    """And messages travel under the key stream: each arrives once, in order."""
+    return LinePair(keyed_rules(keyed=True, scheme=Sealed(2)), payloads=PAYLOADS)
 
 
 class KeyedLink(RuleBasedStateMachine):
-    """Drives a world; subclasses say which."""
-
-    def begun(self) -> KeyedPair:
-        return made()
+    begun = staticmethod(made)
 
     def __init__(self) -> None:
         super().__init__()
@@ -124,23 +99,17 @@ class KeyedLink(RuleBasedStateMachine):
         self.world.well(rounds, victim, before)
 
     @invariant()
-    def both_hold_the_same(self) -> None:
+    def both_hold_the_same_and_each_message_arrives_once(self) -> None:
         self.world.agree()
-
-
-class KeyedLinkOnDisk(KeyedLink):
-    def begun(self) -> KeyedPair:
-        return made_on_disk()
+        assert self.world.received == list(PAYLOADS[: len(self.world.received)])
 
 
 class KeyedCoinLink(KeyedLink):
-    def begun(self) -> KeyedPair:
-        return coins()
+    begun = staticmethod(coins)
 
 
 class SealedLink(KeyedLink):
-    def begun(self) -> KeyedPair:
-        return SealedEnds()
+    begun = staticmethod(sealed)
 
 
 TestKeyedLink = KeyedLink.TestCase
@@ -150,8 +119,6 @@ TestKeyedLink.settings = settings(
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
-TestKeyedLinkOnDisk = pytest.mark.slow(KeyedLinkOnDisk.TestCase)
-TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=size(4, 10))
 TestKeyedCoinLink = KeyedCoinLink.TestCase
 TestSealedLink = SealedLink.TestCase
 TestKeyedCoinLink.settings = TestSealedLink.settings = TestKeyedLink.settings
@@ -160,17 +127,14 @@ TestKeyedCoinLink.settings = TestSealedLink.settings = TestKeyedLink.settings
 def test_both_ends_confirm_the_same_blocks_while_all_is_well() -> None:
     world = made()
     world.well(900)
-    plant, controller = (world.confirmed[side] for side in SIDES)
-    assert len(plant) > 20
-    assert all(keys >= 1 for keys in plant.values())
-    shared = plant.keys() & controller.keys()
-    assert len(shared) >= len(plant) - 1
-    assert all(plant[at] == controller[at] for at in shared)
+    ends = [world.journals[side].load().record for side in SIDES]
+    assert all(record is not None and record.keys.confirmed > 20 for record in ends)
+    assert min(world.onlooker.blocks.values()) >= 1
     assert len(world.journals["plant"].load().rows) < 12
     world.close()
 
 
-def shaken(world: KeyedPair, seed: int, rounds: int = 60) -> KeyedPair:
+def shaken(world: LinePair, seed: int, rounds: int = 60) -> LinePair:
     """A world whose ends die at any point, over and over, while all else is well."""
     draw = Random(seed)
     world.well(300)
@@ -183,12 +147,12 @@ def shaken(world: KeyedPair, seed: int, rounds: int = 60) -> KeyedPair:
     return world
 
 
-@pytest.mark.parametrize("begun", [coins, SealedEnds])
-def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedPair]) -> None:
+@pytest.mark.parametrize("begun", [coins, sealed])
+def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], LinePair]) -> None:
     world = shaken(begun(), 3)
-    served = world.digits.served
+    served = world.onlooker.digits.served
     assert len(served) > 50
-    assert len(world.digits.watched) > 50
+    assert len(world.onlooker.digits.watched) > 50
     record = world.journals["plant"].load().record
     assert record is not None
     of_session = sorted(at for session, at in served if session == record.session.id)
@@ -200,8 +164,9 @@ def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], Keyed
 
 
 def test_sealed_messages_arrive_through_deaths() -> None:
-    world = SealedEnds()
+    world = sealed()
     shaken(world, 5, rounds=150)
+    assert world.received == list(PAYLOADS[: len(world.received)])
     assert len(world.received) > 2
     world.close()
 
@@ -209,13 +174,13 @@ def test_sealed_messages_arrive_through_deaths() -> None:
 # --- the wrong ones -------------------------------------------------------------------------------
 
 
-class Hasty(KeyedPair):
+class Hasty(LinePair):
     """A shell that sends before it saves."""
 
     performer = staticmethod(hasty)
 
 
-def dies_while_writing(world: KeyedPair) -> None:
+def dies_while_writing(world: LinePair) -> None:
     """The controller, over and over; some of what it writes is a step."""
     world.well(200)
     for _ in range(20):
@@ -226,7 +191,7 @@ def test_sending_before_saving_is_caught_and_saving_first_answers_a_step_once() 
     """The step waits until the controller is back, and is answered a second time."""
     with pytest.raises(AssertionError, match="copy 0 left twice"):
         dies_while_writing(Hasty(keyed_rules(), period_s=3.0))
-    world = KeyedPair(keyed_rules(), period_s=3.0)
+    world = LinePair(keyed_rules(), period_s=3.0)
     dies_while_writing(world)
     assert world.deaths == 20
     world.close()
@@ -281,6 +246,6 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
         for seed in range(8):
-            test_digits_serve_once_and_are_gone_through_deaths(SealedEnds)
+            test_digits_serve_once_and_are_gone_through_deaths(sealed)
             test_sealed_messages_arrive_through_deaths()
-            shaken(SealedEnds(), seed).close()
+            shaken(sealed(), seed).close()

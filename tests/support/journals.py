@@ -1,10 +1,9 @@
-"""Journals of ends that are driven by hand: in memory, or on disk and copied at each death."""
+"""Journals of ends that are driven by hand, and what is in them."""
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.step import Answered, Begun, Read
@@ -54,49 +53,6 @@ def step_of(
         case Answered(measurement, offer):
             return offer, NO_SYMBOL, measurement
     return NO_STEP
-
-
-class _Copied:
-    """A journal on disk. One who loads it is another process: it finds a copy of the files."""
-
-    if TYPE_CHECKING:
-        path: Path | None
-
-    def __init__(self) -> None:
-        self._folder: Path | None = None
-        self._lives = 0
-        first = Path(tempfile.mkdtemp())
-        super().__init__(first / "0" / "journal", SCENARIO)  # type: ignore[call-arg]
-        self._folder = first
-
-    def load(self) -> Any:
-        """What a copy holds of the files as they lie there; that goes on."""
-        before = super().load()  # type: ignore[misc]
-        if self._folder is None:  # it is being opened
-            return before
-        assert self.path is not None
-        self._lives += 1
-        path = copied(self.path, self._folder / f"{self._lives}")
-        super().close()  # type: ignore[misc]
-        folder, self._folder = self._folder, None
-        super().__init__(path, SCENARIO)  # type: ignore[call-arg]
-        self._folder = folder
-        assert super().load() == before  # type: ignore[misc]
-        return before
-
-    def close(self) -> None:
-        """Close it and remove the files."""
-        super().close()  # type: ignore[misc]
-        if self._folder is not None:
-            shutil.rmtree(self._folder)
-
-
-class CopiedControllerJournal(_Copied, ControllerJournal):
-    """The controller's."""
-
-
-class CopiedPlantJournal(_Copied, PlantJournal):
-    """The plant's."""
 
 
 def contents(journal: ControllerJournal | PlantJournal) -> tuple[tuple[Any, ...], ...]:

@@ -5,7 +5,8 @@ and disturbance.
 """
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, Final
 
 from controller_service.core import ControllerCore
 from plant_service.adapters.operated import Operated
@@ -21,6 +22,8 @@ from protocol.link.step import Read
 from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NonceSource
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
@@ -30,6 +33,9 @@ from runtime.perform import CrashPoint
 from tests.support.records import plant_record
 
 PERIOD_S = 1.0
+
+SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
+"""Blocks of three transitions and then six, so that keys come all the time."""
 
 
 def line_rules(
@@ -48,6 +54,11 @@ def line_rules(
         fingerprint=fingerprint,
         inputs_gauge=Gauge(half_widths=(largest_input,)),
     )
+
+
+def keyed_rules(**more: Any) -> Rules:
+    """The rules of the line with :data:`SMALL_BLOCKS`, and what else is given."""
+    return replace(line_rules(alpha=4.0, largest_input=1e9), **{"schedule": SMALL_BLOCKS, **more})
 
 
 def disowned(plant: PlantCore) -> ControllerHello:
@@ -236,7 +247,6 @@ def line_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-    steps: int | None = None,
     device: LineDevice | None = None,
 ) -> tuple[PlantCore, LinePlant | ActingLine]:
     """A plant's endpoint as its journal has it, and what it steps, or acts on; it begins at 0."""
@@ -258,7 +268,6 @@ def line_plant(
         loaded=loaded,
         first=first,
         back=None if first is not None else x,
-        steps=steps,
         nonces=nonces,
     )
     return core, plant

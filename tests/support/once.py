@@ -1,7 +1,9 @@
 """What may happen once, as an onlooker sees it: copy 0, nonces and digits of the key stream."""
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.session import CountedTransition
+from protocol.link.distiller import BlockEnded
+from protocol.link.events import Alarm, Event
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.stream import NOWHERE, Position
 
@@ -79,3 +81,39 @@ class Digits:
         elif t.expected != NO_SYMBOL:
             self.watched.add(step)
             assert self._applied.get(step, t.expected) == t.expected, "another coin was expected"
+
+
+class Onlooker:
+    """Judges what both ends of an honest loop say and trace.
+
+    Attributes
+    ----------
+    copies : Copies
+    digits : Digits
+    blocks : dict
+        Keys of the blocks that an end has confirmed, by session and number.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.copies, self.digits = Copies(), Digits(rules.digits)
+        self.blocks: dict[tuple[str, int], int] = {}
+
+    def said(self, message: Measurement | Offer) -> None:
+        """An end sends a message."""
+        if self._rules.schedule is not None:
+            self.copies.left(message)
+        if isinstance(message, Offer):
+            self.digits.named(message)
+
+    def traced(self, event: Event) -> None:
+        """An end traces an event."""
+        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # the stream was dry
+        assert honest, "an honest step made an alarm"
+        if isinstance(event, BlockEnded):
+            assert event.what != "unequal", "the ends hold different blocks"
+            at = event.session, event.number
+            assert self.blocks.setdefault(at, event.keys) == event.keys
+        if isinstance(event, CountedTransition):
+            assert not event.refused, "a frame arrived broken"
+            self.digits.counted(event, coins=self._rules.keyed)

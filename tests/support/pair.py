@@ -1,17 +1,9 @@
 """Both real ends of one loop in one process: lives and deaths, the network's memory, time in hand.
 
 Endpoints and :func:`runtime.perform.perform` are the services'. Nothing happens by itself: a test
-says which message arrives, which process dies and over what; or it lets all go well. It judges
-nothing: a subclass looks at what an end writes, says and traces.
-
-=====================  ==============================  ========================================
-class                  the ends are                    who needs it
-=====================  ==============================  ========================================
-:class:`LinePair`      the plant on a line, journals   machines that draw schedules, the fuzzer
-                       in memory, or on disk
-`KeyedPair`            these with distilled keys       what must happen once, at each event
-`RecordedPair`         the services', files on disk    whoever needs a run: checks, attacks, pages
-=====================  ==============================  ========================================
+says which message arrives, which process dies and over what; or it lets all go well. A
+:class:`LinePair` has the plant on a line and journals in memory, and judges what its ends say and
+count. A `RecordedPair` has the services' files, for those who need a run.
 """
 
 from abc import ABC, abstractmethod
@@ -23,24 +15,19 @@ from typing import Any, Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
+from protocol.agreement import NO_SYMBOL
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Event, lines
 from protocol.link.records import Side
-from protocol.link.session import Rules
-from protocol.messages import Message, Status
+from protocol.link.session import CountedTransition, Rules
+from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
-from protocol.streams import SymbolSource
+from protocol.secret.stream import Held
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
-from tests.support.journals import (
-    CopiedControllerJournal,
-    CopiedPlantJournal,
-    controller_journal,
-    handed_over,
-    plant_journal,
-)
+from tests.support.journals import controller_journal, handed_over, plant_journal
 from tests.support.line import (
     ActingLine,
     LineDevice,
@@ -50,6 +37,8 @@ from tests.support.line import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
+from tests.support.once import Onlooker
+from tests.support.safety import differing_key
 
 Name = Literal["plant", "controller", "rival"]
 """An end; the rival is a second controller on the same loop."""
@@ -268,11 +257,15 @@ class Pair(ABC):
 # --- the plant on a line --------------------------------------------------------------------------
 
 
-class Covers:
-    """Cover symbols that tell their transition."""
+class _Covers:
+    """Cover symbols; a second decision of the same transition's would show."""
+
+    def __init__(self) -> None:
+        self._last = 0
 
     def symbol(self, transition: int, size: int) -> int:
-        return transition % size
+        self._last = (self._last * 5 + 3) % 17
+        return self._last % size
 
 
 class _Ports:
@@ -301,7 +294,7 @@ class _Ports:
 
 
 class LinePair(Pair):
-    """The ends of the plant on a line: x+ = x + u + d.
+    """The ends of the plant on a line, x+ = x + u + d; what must happen once is looked at.
 
     Parameters
     ----------
@@ -310,19 +303,18 @@ class LinePair(Pair):
         Between two steps; None for lock-step.
     payloads, rivals : sequence of bytes
         The controller's messages; those of a second one, which is there if they are given.
-    on_disk : bool
-        The journals are files, and each process finds a copy of them.
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
-    steps : int, optional
-        The plant's last step.
-    fresh : SymbolSource, optional
-        Of covers.
 
     Attributes
     ----------
     line : LinePlant or ActingLine
         Its coin and d are the next step's.
+    onlooker : Onlooker
+    counted : dict of str to dict
+        The transitions that the plant, and any controller, has counted: by session and number.
+    received : list of bytes
+        Messages that have arrived, whatever a journal forgets.
     """
 
     line: LinePlant | ActingLine
@@ -333,27 +325,24 @@ class LinePair(Pair):
         period_s: float | None = 0.5,
         payloads: Sequence[bytes] = (),
         *,
-        on_disk: bool = False,
         acts: bool = False,
-        steps: int | None = None,
-        fresh: SymbolSource | None = None,
         rivals: Sequence[bytes] | None = None,
     ) -> None:
         super().__init__()
-        self.rules = rules
-        self.period_s, self.steps = period_s, steps
-        self.fresh = fresh or Covers()
+        self.rules, self.period_s = rules, period_s
         self.names = 0
         self.device = LineDevice() if acts else None
+        self.onlooker = Onlooker(rules)
+        self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
+        self.received: list[bytes] = []
+        self._covers = _Covers()
+        self._starting = True  # the plant's process counts what the one before it left
         self._payloads: dict[Name, Sequence[bytes]] = {"controller": payloads}
-        self.journals: dict[Name, ControllerJournal | PlantJournal] = {
-            "plant": CopiedPlantJournal() if on_disk else plant_journal()
-        }
         if rivals is not None:
             self._payloads["rival"] = rivals
+        self.journals: dict[Name, ControllerJournal | PlantJournal] = {"plant": plant_journal()}
         for side, some in self._payloads.items():
-            queue = CopiedControllerJournal() if on_disk else controller_journal()
-            self.journals[side] = handed_over(queue, some)
+            self.journals[side] = controller_journal(*some)
         for side in self.journals:
             self.start(side)
 
@@ -362,24 +351,30 @@ class LinePair(Pair):
         for journal in self.journals.values():
             journal.close()
 
+    @property
+    def deaths(self) -> int:
+        """Lives that are over."""
+        return sum(self.lives.values()) - len(self.journals)
+
+    def start(self, side: Name) -> None:
+        self._starting = True
+        super().start(side)
+        self._starting = False
+
     def forget(self, side: Name) -> None:
-        """An end loses its journal; a controller is handed its messages again."""
+        """An end loses its journal, and is there again; a controller is handed its messages."""
         journal = self.journals[side]
         journal.forget()
         if isinstance(journal, ControllerJournal):
             handed_over(journal, self._payloads[side])
+        elif self.device is not None:
+            self.device.u = None  # what it was told is known to nobody any more
+        self.die(side)
 
     def propose(self, side: Name, x: Vector) -> tuple[Vector, ...]:
-        """The candidates of a controller: around the origin, 3 apart."""
-        M = self.rules.size
-        return tuple([(-x[0] + (2 * i - M + 1) * 1.5,) for i in range(M)])
-
-    def saved(self, side: Name, save: Save) -> None:
-        """An end writes into its journal."""
-        self.journals[side].save(save)
-
-    def traced(self, side: Name, event: Event) -> None:
-        """An end traces an event."""
+        """The candidates of a controller: around the origin, 3 apart, and a rival's 2.5."""
+        M, shift = self.rules.size, 1.25 if side == "rival" else 1.5
+        return tuple([(-x[0] + (2 * i - M + 1) * shift,) for i in range(M)])
 
     def name(self) -> str:
         """A new id."""
@@ -396,7 +391,7 @@ class LinePair(Pair):
         journal = self.journals[side]
         assert isinstance(journal, ControllerJournal)
         propose = partial(self.propose, side)
-        return line_controller(self.rules, propose, journal, self.fresh, self.name())
+        return line_controller(self.rules, propose, journal, self._covers, self.name())
 
     def _plant(self, ports: CrashingPorts) -> PlantCore:
         journal = self.journals["plant"]
@@ -404,7 +399,52 @@ class LinePair(Pair):
         common = self.name, self.name(), self.now, self.period_s
         if self.device is not None:
             self.device.passes = ports.passes
-        core, self.line = line_plant(
-            self.rules, journal, *common, steps=self.steps, device=self.device
-        )
+        core, self.line = line_plant(self.rules, journal, *common, device=self.device)
         return core
+
+    # --- what is looked at ------------------------------------------------------------------------
+
+    def saved(self, side: Name, save: Save) -> None:
+        """An end writes into its journal."""
+        self.journals[side].save(save)
+        if save.received is not None:
+            self.received.append(save.received)
+
+    def said(self, side: Name, message: Mail) -> None:
+        super().said(side, message)
+        if message.kind in (Measurement, Offer):
+            said = message.kind.model_validate_json(message.payload)
+            assert isinstance(said, Measurement | Offer)
+            self.onlooker.said(said)
+
+    def traced(self, side: Name, event: Event) -> None:
+        """An end traces an event; both count a transition alike, and the plant in one version."""
+        self.onlooker.traced(event)
+        if side == "plant" and self.device is not None:
+            self.device.look(event, alive=not self._starting)
+        if not isinstance(event, CountedTransition):
+            return
+        mine: Side = "plant" if side == "plant" else "controller"
+        assert (event.coin == NO_SYMBOL) == (mine == "controller")
+        transition = event.shared
+        at = transition.session, transition.j
+        if mine == "plant":
+            assert at[0] == self.plant.state.record.session.id, "counted in another session"
+            assert self.counted[mine].get(at, transition) == transition, "counted anew"
+        self.counted[mine][at] = transition
+        other = self.counted[OTHER[mine]].get(at)
+        assert other is None or other == transition, "the ends counted differently"
+
+    def held(self, side: Side) -> Held:
+        """The key stream that an end's journal holds."""
+        return self.journals[side].load().held
+
+    def agree(self) -> None:
+        """What both journals hold of the key stream of one session is the same."""
+        mine, theirs = (self.journals[side].load() for side in SIDES)
+        if mine.record is None or theirs.record is None:
+            return
+        if mine.record.session.id != theirs.record.session.id:
+            return
+        wrong = differing_key(self.rules.size, mine.held, theirs.held)
+        assert not wrong, wrong

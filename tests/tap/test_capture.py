@@ -3,7 +3,6 @@
 import errno
 import logging
 import os
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -160,18 +159,6 @@ def test_a_header_that_no_bound_has_room_for_pauses_the_recording(
     assert (log.paused, log.dropped, log.first_part) == (True, 1, 0)
     assert "no room for a header" in caplog.text
     assert parts_of(tmp_path / CAPTURE) == []
-
-
-def test_parts_end_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    log = RotatingLog(tmp_path / CAPTURE, {}, Bounds(part_s=10.0, free_bytes=0), LOG)
-    for k in range(4):
-        log.write(line_of(measurement(k)))
-        now[0] += 6.0
-    log.close()
-    assert len(parts_of(tmp_path / CAPTURE)) == 2
-    assert [m.k for m in read(tmp_path)[1]] == [0, 1, 2, 3]
 
 
 def test_a_full_disk_pauses_the_recording_and_says_so(

@@ -21,9 +21,9 @@ from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.key_solver import KeySolver
 from tap_service.listening import Listener, Listeners
 from tests.support.held_memory import kept
-from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.line import keyed_rules
 from tests.support.mail import Mail
-from tests.support.pair import Name
+from tests.support.pair import LinePair, Name
 from tests.support.size import size
 from wyner.runs.score.report import held_line
 
@@ -31,7 +31,7 @@ CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
 
 
-class Recorded(KeyedPair):
+class Recorded(LinePair):
     """A world whose field messages are kept; some of them never arrive."""
 
     def __init__(self, claim: Assumption, lose: Callable[[Message], bool]) -> None:
@@ -62,11 +62,11 @@ def recorded(
     """Messages of some blocks, the controller's blocks, and their keys."""
     draw = random.Random(4)
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
-    while sum(world.confirmed["controller"].values()) < 4:
+    while sum(world.onlooker.blocks.values()) < 4:
         world.next()
     for _ in range(60):  # so that who missed the last words hears later ones
         world.next()
-    confirmed = world.confirmed["controller"]
+    confirmed = world.onlooker.blocks
     blocks = [b for b in world.closed if (b.session, b.number) in confirmed]
     world.close()
     return world.field, blocks, [extracted(block) for block in blocks]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from protocol.messages import SendCommand
 from protocol.text import printable
 from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.chance import new_id
 from runtime.errors import DONE, Failure, UsageError
-from runtime.ids import new_id
 from runtime.options import message_of, picked
 from runtime.services import CONTROLLER_MANAGEMENT
 from wyner.cli.options import add_run_argument, is_told, joined

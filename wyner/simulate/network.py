@@ -40,8 +40,8 @@ from protocol.secret.extractor import extracted
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.chance import seeded_nonces
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.model import load_model
 from runtime.perform import Crashed, CrashingPorts, perform
+from runtime.user_code import load_model
 from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
 

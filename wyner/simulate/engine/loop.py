@@ -38,7 +38,7 @@ from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, SENSOR, Stream
 from protocol.vectors import Vector
 from runtime.errors import Failure
-from runtime.model import load_model
+from runtime.user_code import load_model
 from wyner.simulate.engine.draws import Draws, SeededDraws, Streams, symbol_type
 from wyner.simulate.missed import missed_steps
 
