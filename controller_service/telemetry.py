@@ -32,7 +32,7 @@ class ControllerTelemetry(Telemetry):
     def __init__(self, law: CandidateLaw | None = None, status_s: float = STATUS_S) -> None:
         super().__init__(None if law is None else status_s)
         self._watched = self._unwatched = 0
-        self._alarms = AlarmStatus(watched=0, unwatched=0, count=0)
+        self._alarms = AlarmStatus()
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
@@ -87,6 +87,6 @@ class ControllerTelemetry(Telemetry):
                 update={"watched": self._watched, "unwatched": unwatched}
             ),
             secrets=EndSecrets.model_construct(
-                text="" if payload is None else self._sending.text(payload)
+                message="" if payload is None else self._sending.text(payload)
             ),
         )

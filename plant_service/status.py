@@ -169,7 +169,7 @@ class PlantTelemetry(Telemetry):
             ),
             attack=self.attack,
             secrets=PlantSecrets.model_construct(
-                text=self._partial.text(deframer.partial),
+                message=self._partial.text(deframer.partial),
                 last_message=readable(self.last_message),
                 pictured=next(filter(None, map(_pictured, reversed(self._tail))), None),
                 tail=tuple(map(_shown, list(self._tail)[-shown:])),

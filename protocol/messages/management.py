@@ -301,17 +301,21 @@ class KeyStatus(Part):
         How often a message leaves this end on the field bus.
     """
 
-    made: Annotated[Count, Metric("keys_made", "keys of confirmed blocks since this process began")]
-    lost: Annotated[Count, Metric("keys_blocks_lost", "key blocks that made no key since then")]
-    begun: Count
-    of_block: Count
-    block_steps: Count
-    refused: str
-    stopped: Annotated[str, Metric("keys_stopped", "whether the newest block made no key", "gauge")]
+    made: Annotated[
+        Count, Metric("keys_made", "keys of confirmed blocks since this process began")
+    ] = 0
+    lost: Annotated[Count, Metric("keys_blocks_lost", "key blocks that made no key since then")] = 0
+    begun: Count = 0
+    of_block: Count = 0
+    block_steps: Count = 0
+    refused: str = ""
+    stopped: Annotated[
+        str, Metric("keys_stopped", "whether the newest block made no key", "gauge")
+    ] = ""
     digits_left: Annotated[
         Count, Metric("keys_digits_left", "unused digits of the key stream", "gauge")
-    ]
-    appearances: Count
+    ] = 0
+    appearances: Count = 1
 
 
 class TimingStatus(Part):
@@ -364,11 +368,13 @@ class AlarmStatus(Part):
         Nothing is expected where too many steps had no digit of the key stream.
     """
 
-    watched: Annotated[Count, Metric("watched_steps", "transitions tested by a key's candidate")]
+    watched: Annotated[
+        Count, Metric("watched_steps", "transitions tested by a key's candidate")
+    ] = 0
     unwatched: Annotated[
         Count, Metric("unwatched_steps", "transitions that no key watched, of a keyed coin")
-    ]
-    count: Annotated[Count, Metric("alarms", "transitions whose test failed and made an alarm")]
+    ] = 0
+    count: Annotated[Count, Metric("alarms", "transitions whose test failed and made an alarm")] = 0
     k: Annotated[int, Field(ge=-1)] = -1
     reading: FiniteVector = ()
     expected: FiniteVector = ()
@@ -427,9 +433,9 @@ class TailStep(NamedTuple):
 
 
 class EndSecrets(Part):
-    """What travels on the management bus only, in no file: the text of the frame under way."""
+    """What travels on the management bus only, in no file: the message under way."""
 
-    text: str = ""
+    message: str = ""
 
 
 class PlantSecrets(EndSecrets):
@@ -474,7 +480,7 @@ class Status(Message):
     session: SessionId | None
     step: StepStatus
     frame: FrameStatus
-    keys: KeyStatus
+    keys: KeyStatus = KeyStatus()
     secrets: EndSecrets = EndSecrets()
 
     def on_file(self) -> bytes:
@@ -525,7 +531,7 @@ class ControllerStatus(Status):
     phase: Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
     set_index: Annotated[int, Field(ge=-1)]
     frame: OutgoingFrame
-    alarms: AlarmStatus
+    alarms: AlarmStatus = AlarmStatus()
 
 
 MANAGEMENT: tuple[type[Message], ...] = (

@@ -128,14 +128,14 @@ class State:
         said, controller = self.plant.secrets, self.controller
         under_way = controller is not None and (
             controller.frame.symbols < controller.frame.length
-            or controller.secrets.text != said.last_message
+            or controller.secrets.message != said.last_message
         )
-        return said.text if said.text or under_way else said.last_message
+        return said.message if said.message or under_way else said.last_message
 
     @property
     def sent(self) -> str:
         """The text on its way, or, without a controller, what the plant has."""
-        return self.recovered if self.controller is None else self.controller.secrets.text
+        return self.recovered if self.controller is None else self.controller.secrets.message
 
 
 def reduce(state: State, arrival: Arrival) -> State:
@@ -209,7 +209,7 @@ def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
 def _controller(state: State, status: ControllerStatus, t_ns: int) -> State:
     if state.controller is not None and _stale(state.controller, status):
         return state
-    texts = _with_text(state.texts, status.secrets.text)
+    texts = _with_text(state.texts, status.secrets.message)
     return _judge(replace(state, controller=status, controller_seen_ns=t_ns, texts=texts))
 
 
