@@ -1,5 +1,6 @@
 """What the controller tells the dashboard."""
 
+import time
 from typing import Final
 
 from controller_service.laws.base import CandidateLaw
@@ -74,7 +75,7 @@ class ControllerTelemetry(Telemetry):
             set_index = -1
         unwatched = self._unwatched if rules.keyed else 0
         return ControllerStatus.model_construct(
-            **self.common(state, malformed),
+            **self.common(state, malformed, time.time_ns()),
             set_index=set_index,
             step=StepStatus.model_construct(**self.step(state)),
             frame=OutgoingFrame.model_construct(

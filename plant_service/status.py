@@ -1,5 +1,6 @@
 """What the plant tells the dashboard."""
 
+import time
 from bisect import bisect_left
 from collections import deque
 from math import isfinite
@@ -141,7 +142,7 @@ class PlantTelemetry(Telemetry):
             self._rate_mark = (state.now, link.transitions)
         shown = TAIL if whole else max(TAIL_AT_LEAST, self._old + self._new)
         self._old, self._new = self._new, 0
-        common = self.common(state, malformed)
+        common = self.common(state, malformed, time.time_ns())
         common["detail"] = self.detail or self.watch.doubt
         return PlantStatus.model_construct(
             **common,

@@ -1,6 +1,5 @@
 """What an end has of its status beside its state, and when it is published."""
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import inf
@@ -79,12 +78,12 @@ class Telemetry(ABC):
             self.health_at = now + HEALTH_S
         return due
 
-    def common(self, state: EndState, malformed: int) -> dict[str, Any]:
+    def common(self, state: EndState, malformed: int, t_ns: int) -> dict[str, Any]:
         """The fields of a status that both ends have alike, but for the step."""
         self._seq += 1
         return {
             "seq": self._seq,
-            "t_ns": time.time_ns(),
+            "t_ns": t_ns,
             "phase": self.phase,
             "detail": self.detail,
             "malformed": malformed,

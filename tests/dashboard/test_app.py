@@ -387,14 +387,14 @@ def with_plant(state: State, **changes: object) -> State:
     """The state after one more plant status; the step stands still unless it is changed."""
     plant = plant_of(state)
     later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
-    arrival = Arrival(state.plant_seen_ns + 1, changed(plant, **later))
+    arrival = Arrival(state.seen["plant"] + 1, changed(plant, **later))
     return reduce_all(state, [arrival])
 
 
 def with_controller(state: State, **changes: object) -> State:
     assert state.controller is not None
     later = {"seq": state.controller.seq + 1, "t_ns": state.controller.t_ns + 1, **changes}
-    arrival = Arrival(state.plant_seen_ns, changed(state.controller, **later))
+    arrival = Arrival(state.seen["plant"], changed(state.controller, **later))
     return reduce_all(state, [arrival])
 
 

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.text import Text
 
 from protocol.messages.adversary import KeysHeld
+from protocol.vectors import Vector
 from tests.dashboard.states import plant_of, state_after
 from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.screens import to_text
@@ -57,6 +58,13 @@ def with_plant(state: State, **changes: object) -> State:
     return replace(state, plant=changed(plant_of(state), **changes))
 
 
+def with_truth(state: State, x: Vector) -> State:
+    """An attacked plant is there after its last step."""
+    k = max(state.truths)
+    row = state.truths[k]._replace(true_x_next=x)
+    return replace(state, truths={**state.truths, k: row})
+
+
 def with_model(state: State, **changes: object) -> State:
     assert state.model is not None
     return replace(state, model=state.model.model_copy(update=changes))
@@ -89,7 +97,7 @@ def lines_of(
 
 
 def shown(state: State, width: int, height: int, view: ViewState = PLAIN) -> str:
-    return to_text(screen(state, width, height, view, state.plant_seen_ns), (width, height))
+    return to_text(screen(state, width, height, view, state.seen["plant"]), (width, height))
 
 
 # --- golden screens ----------------------------------------------------------------------------
@@ -182,7 +190,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
     state = state_after(700)
     line = next(
         line
-        for line in lines_of(state, 80, 24, PLAIN, state.plant_seen_ns)
+        for line in lines_of(state, 80, 24, PLAIN, state.seen["plant"])
         if "PAPER'S RULE EXCEEDS TRUE" in line.plain
     )
     assert any("red" in str(span.style) for span in line.spans)
@@ -194,7 +202,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
 
 def test_a_silent_service_is_named() -> None:
     state = state_after(700)
-    late = state.plant_seen_ns + SILENT_AFTER_NS + 1
+    late = state.seen["plant"] + SILENT_AFTER_NS + 1
     header = lines_of(state, 120, 24, PLAIN, late)[0].plain
     assert "plant silent" in header
     assert "controller silent" in header
@@ -237,13 +245,13 @@ def test_where_the_state_is_among_the_sets_is_told_in_words() -> None:
 
 def test_a_state_under_attack_is_told_as_reported_beside_the_true_one() -> None:
     """The screen said "inside the target set" of a plant that was 29 away."""
-    state = replace(state_after(700), true_states={700: (-28.892, 1.0)})
+    state = with_truth(state_after(700), (-28.892, 1.0))
     for terminal in ((80, 24), (120, 40)):
         text = shown(state, *terminal)
         assert re.search(r"reported in\w* .*target set; plant 29\.1 away", text)
         assert "reported   +0.186, true  -28.892" in text
     assert "the plant is 29.078 from the x reported" in progress(state)
-    honest = replace(state, true_states={700: state.states[700]})
+    honest = with_truth(state, plant_of(state).step.x)
     assert "state: inside the target set" in shown(honest, 80, 24), "an attack has not begun"
 
 
@@ -305,8 +313,8 @@ def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
     evil = "\x1b[2J[red]\r\n\x07漢\u0301\u202e" + "x" * 3
     at = {"seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
     hostile = changed(tap, name="[b]\x1b[31m", belief={"message": evil}, **at)
-    state = reduce(state, Arrival(state.plant_seen_ns, hostile))
-    for line in lines_of(state, 100, 40, PLAIN, state.plant_seen_ns):
+    state = reduce(state, Arrival(state.seen["plant"], hostile))
+    for line in lines_of(state, 100, 40, PLAIN, state.seen["plant"]):
         assert cell_len(line.plain) == 100
         assert all(c.isprintable() for c in line.plain)
 

@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import replace
 from typing import IO, Final
 
 from protocol.text import printable
@@ -18,7 +17,7 @@ from wyner.dashboard.score import (
     truth_for,
 )
 from wyner.dashboard.secrecy_panel import held, keys_right
-from wyner.dashboard.source import Source
+from wyner.dashboard.source import BusSource
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.text import component, in_words, letters
 
@@ -157,7 +156,7 @@ def secrecy_line(state: State) -> str:
 
 
 def run_headless(
-    source: Source,
+    source: BusSource,
     *,
     until: Callable[[], bool],
     out: IO[str] | None = None,
@@ -183,7 +182,7 @@ def run_headless(
     try:
         while True:
             finished = until()
-            state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
+            state = reduce_all(state, source.drain())
             lines = reporter.report(state, source.now_ns())
             say(lines)
             last = lines[-1] if lines else last

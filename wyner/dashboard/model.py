@@ -27,9 +27,6 @@ STEPS_KEPT: Final = 4096
 """Steps whose true symbols and guesses are held for scoring, so that a tap that decodes late is
 scored too; older ones are forgotten."""
 
-STATES_KEPT: Final = 240
-"""States held for the history, at least as many as the widest sparkline shows."""
-
 TEXTS_KEPT: Final = 8
 """True messages remembered, so that a tap still on an earlier one is judged against that one."""
 
@@ -43,10 +40,13 @@ TAPS_KEPT: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A message and the time it came, in nanoseconds of a clock that never goes back."""
+    """A message and the time it came, in nanoseconds of a clock that never goes back.
+
+    None: what came was no message of its key.
+    """
 
     t_ns: int
-    message: Message
+    message: Message | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,6 @@ class TapState:
     """
 
     status: TapStatus
-    seen_ns: int
     guesses: Mapping[int, TailGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
@@ -72,24 +71,22 @@ class State:
     """All that the screen and the plain lines are made from.
 
     ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``states``
-    are those that the plant reports, ``true_states`` what they are where it is attacked.
+    are those that the plant reports, ``true_states`` what they are where it is attacked. ``seen``
+    is when a plant, controller or tap was heard last. ``malformed`` counts payloads that were no
+    message, and statuses of more taps than are kept.
     """
 
     model: PlantModel | None = None
     plant: PlantStatus | None = None
-    plant_seen_ns: int = -1
     controller: ControllerStatus | None = None
-    controller_seen_ns: int = -1
     pictured: PicturedStep | None = None
     pictured_ns: int = -1
     taps: Mapping[str, TapState] = field(default_factory=dict)
     truths: Mapping[int, TailStep] = field(default_factory=dict)
-    states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
-    true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
+    seen: Mapping[str, int] = field(default_factory=dict)
     received: int = 0
-    refused: int = 0
-    unreadable: int = 0
+    malformed: int = 0
 
     @property
     def alarms(self) -> str:
@@ -99,21 +96,14 @@ class State:
     @property
     def away(self) -> float:
         """How far an attacked plant's true state is from the one reported, by component at most."""
-        k = max(self.true_states, default=-1)
-        reported = self.states.get(k, ())
-        true = self.true_states.get(k, ())
+        k = max(self.truths, default=-1)
+        if self.plant is None or k < 0:
+            return 0.0
+        true, reported = self.truths[k].true_x_next, self.plant.step.x
+        if self.plant.step.k != k + 1:  # steps were missed since, of which the truth is not told
+            true = self.truths[k - 1].true_x_next if k - 1 in self.truths else ()
+            reported = self.truths[k].x
         return max((abs(a - b) for a, b in zip(true, reported, strict=False)), default=0.0)
-
-    @property
-    def malformed(self) -> int:
-        """Payloads that the source could not read, and statuses of more taps than are kept."""
-        return self.unreadable + self.refused
-
-    @property
-    def last_seen_ns(self) -> int:
-        """When the last status was received."""
-        taps = (tap.seen_ns for tap in self.taps.values())
-        return max(self.plant_seen_ns, self.controller_seen_ns, *taps)
 
     @property
     def candidates(self) -> int:
@@ -140,18 +130,30 @@ class State:
 
 def reduce(state: State, arrival: Arrival) -> State:
     """The state after one more arrival; anything else than these only counts."""
+    t_ns, message = arrival.t_ns, arrival.message
+    if message is None:
+        return replace(state, malformed=state.malformed + 1)
     state = replace(state, received=state.received + 1)
-    match arrival.message:
-        case PlantModel() as model:
-            return replace(state, model=model)
-        case PlantStatus() as status:
-            return _plant(state, status, arrival.t_ns)
-        case ControllerStatus() as status:
-            return _controller(state, status, arrival.t_ns)
-        case TapStatus() as status:
-            return _tap(state, status, arrival.t_ns)
+    match message:
+        case PlantModel():
+            return replace(state, model=message)
+        case PlantStatus() if not _stale(state.plant, message):
+            state = _heard(
+                _plant(state, message, t_ns), "plant", t_ns, message.secrets.last_message
+            )
+        case ControllerStatus() if not _stale(state.controller, message):
+            state = _heard(state, "controller", t_ns, message.secrets.message)
+            state = replace(state, controller=message)
+        case TapStatus():
+            state = _tap(state, message, t_ns)
         case _:
             return state
+    found = {
+        name: replace(tap, exact=True)
+        for name, tap in state.taps.items()
+        if not tap.exact and tap.status.belief.message in state.texts
+    }
+    return replace(state, taps={**state.taps, **found}) if found else state
 
 
 def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
@@ -161,38 +163,30 @@ def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
     return state
 
 
+def _heard(state: State, service: str, t_ns: int, text: str = "") -> State:
+    """A service was heard; a true message that it told is remembered."""
+    texts = state.texts
+    if text and text not in texts:
+        texts = (*texts, text)[-TEXTS_KEPT:]
+    return replace(state, seen={**state.seen, service: t_ns}, texts=texts)
+
+
 def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
-    if state.plant is not None and _stale(state.plant, status):
-        return state
     if state.plant is not None and state.plant.session != status.session:
         # Steps may be counted afresh in a new session: what was known by step is void.
         taps = {name: replace(tap, guesses={}) for name, tap in state.taps.items()}
-        state = replace(state, pictured=None, truths={}, states={}, true_states={}, taps=taps)
-    truths, states, true_states = dict(state.truths), dict(state.states), dict(state.true_states)
-    agreed = {}
-    for row in status.secrets.tail:
-        if row.symbol >= 0 and row.k not in truths:
-            agreed[row.k] = row.symbol
-        truths[row.k] = row
-        states[row.k] = row.x
-        if row.true_x_next:
-            true_states[row.k + 1] = row.true_x_next
-    states[status.step.k] = status.step.x
+        state = replace(state, pictured=None, truths={}, taps=taps)
+    told = {row.k: row for row in status.secrets.tail}
+    agreed = {k: r.symbol for k, r in told.items() if r.symbol >= 0 and k not in state.truths}
     taps = {
         name: _compared(tap, {k: symbol for k, symbol in agreed.items() if k in tap.guesses})
         for name, tap in state.taps.items()
     }
-    return _judge(
-        replace(
-            _picture(state, status, t_ns),
-            plant=status,
-            plant_seen_ns=t_ns,
-            taps=taps,
-            truths=_newest(truths, STEPS_KEPT),
-            states=_newest(states, STATES_KEPT),
-            true_states=_newest(true_states, STATES_KEPT),
-            texts=_with_text(state.texts, status.secrets.last_message),
-        )
+    return replace(
+        _picture(state, status, t_ns),
+        plant=status,
+        taps=taps,
+        truths=_newest({**state.truths, **told}),
     )
 
 
@@ -206,19 +200,12 @@ def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     return replace(state, pictured=new, pictured_ns=t_ns) if over or better else state
 
 
-def _controller(state: State, status: ControllerStatus, t_ns: int) -> State:
-    if state.controller is not None and _stale(state.controller, status):
-        return state
-    texts = _with_text(state.texts, status.secrets.message)
-    return _judge(replace(state, controller=status, controller_seen_ns=t_ns, texts=texts))
-
-
 def _tap(state: State, status: TapStatus, t_ns: int) -> State:
     tap = state.taps.get(status.name)
     if tap is None and len(state.taps) >= TAPS_KEPT:
-        return replace(state, refused=state.refused + 1)
+        return replace(state, malformed=state.malformed + 1)
     if tap is None:
-        tap = TapState(status, t_ns)
+        tap = TapState(status)
     elif _stale(tap.status, status):
         return state
     told = {guess.k: guess for guess in status.tail}
@@ -228,12 +215,11 @@ def _tap(state: State, status: TapStatus, t_ns: int) -> State:
     tap = replace(
         tap,
         status=status,
-        seen_ns=t_ns,
-        guesses=_newest({**tap.guesses, **told}, STEPS_KEPT),
+        guesses=_newest({**tap.guesses, **told}),
         watched=tap.watched or (status.belief.solved_k < 0 and bool(state.texts)),
     )
     tap = _compared(tap, agreed)
-    return _judge(replace(state, taps={**state.taps, status.name: tap}))
+    return _heard(replace(state, taps={**state.taps, status.name: tap}), "tap", t_ns)
 
 
 def _compared(tap: TapState, agreed: Mapping[int, int], times: int = 1) -> TapState:
@@ -246,29 +232,13 @@ def _compared(tap: TapState, agreed: Mapping[int, int], times: int = 1) -> TapSt
     return replace(tap, pairs=pairs)
 
 
-def _judge(state: State) -> State:
-    """Mark the taps whose message is a true one now."""
-    found = {
-        name: replace(tap, exact=True)
-        for name, tap in state.taps.items()
-        if not tap.exact and tap.status.belief.message in state.texts
-    }
-    return replace(state, taps={**state.taps, **found}) if found else state
-
-
-def _stale(known: Status | TapStatus, new: Status | TapStatus) -> bool:
+def _stale(known: Status | TapStatus | None, new: Status | TapStatus) -> bool:
     # A service that was started again counts from zero but its clock is later: not stale.
-    return new.seq < known.seq and new.t_ns < known.t_ns
+    return known is not None and new.seq < known.seq and new.t_ns < known.t_ns
 
 
-def _newest(by_step: dict[int, T], limit: int) -> dict[int, T]:
-    if len(by_step) <= limit:
+def _newest(by_step: dict[int, T]) -> dict[int, T]:
+    if len(by_step) <= STEPS_KEPT:
         return by_step
     # An eighth more than needed goes at once, so that sorting is seldom.
-    return {k: by_step[k] for k in sorted(by_step)[-(limit - limit // 8) :]}
-
-
-def _with_text(texts: tuple[str, ...], text: str) -> tuple[str, ...]:
-    if not text or text in texts:
-        return texts
-    return (*texts, text)[-TEXTS_KEPT:]
+    return {k: by_step[k] for k in sorted(by_step)[-(STEPS_KEPT - STEPS_KEPT // 8) :]}

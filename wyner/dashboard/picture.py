@@ -14,8 +14,7 @@ from protocol.agreement import INSIDE
 from protocol.convex import corners
 from protocol.messages import PlantModel
 from protocol.messages.management import PicturedStep
-from wyner.dashboard.parts import line, rule
-from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, longest, number
+from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, line, longest, number, rule
 
 BARS_AT_MOST: Final = 16
 

@@ -5,7 +5,7 @@ nowhere else.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -144,16 +144,11 @@ def left_by(state: State, tap: TapState, its: KnownSymbols) -> Left | None:
     return Left(least, silent * bit, "; ".join(found))
 
 
-def secrecy(
-    state: State, taps: Sequence[tuple[TapState, KnownSymbols]] | None = None
-) -> SecrecyScore:
-    """What the paper's rule counts against the truth, from all taps.
-
-    ``taps`` are those of `ranked` where it was called.
-    """
+def secrecy(state: State) -> SecrecyScore:
+    """What the paper's rule counts against the truth, from all taps."""
     symbols = _carried(state)
     claimed = symbols * math.log2(state.candidates)
-    taps = ranked(state) if taps is None else taps
+    taps = ranked(state)
     failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
     exceeds = symbols > 0 and any(tap.exact or its.better_than_chance(ALARM) for tap, its in taps)
     by_tap = [(left_by(state, tap, its), tap.status.name, its.of) for tap, its in taps]

@@ -9,9 +9,18 @@ from rich.text import Text
 from protocol.relabelling import KnownSymbols
 from protocol.statistics import bits_left
 from wyner.dashboard.model import State, TapState
-from wyner.dashboard.parts import VALUE_AT, labelled, line
 from wyner.dashboard.score import SecrecyScore, attacker, characters_right, contradictions
-from wyner.dashboard.text import LEVELS, STYLES, count, drawn, longest, percent
+from wyner.dashboard.text import (
+    LEVELS,
+    STYLES,
+    VALUE_AT,
+    count,
+    drawn,
+    labelled,
+    line,
+    longest,
+    percent,
+)
 
 BARS: Final = 30
 """Cells of the bar of the bits that the paper's rule counts."""

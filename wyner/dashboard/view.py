@@ -5,7 +5,7 @@ takes the room, the message goes, then the loop.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Final
@@ -15,20 +15,24 @@ from rich.console import Group
 from rich.text import Text
 
 from wyner.dashboard.model import State
-from wyner.dashboard.parts import VALUE_AT, beside, labelled, line, rule
 from wyner.dashboard.picture import agreement
 from wyner.dashboard.score import ranked, rate_in_words, secrecy, truth_for
 from wyner.dashboard.secrecy_panel import amounts, distilled, eavesdroppers, explanation
 from wyner.dashboard.text import (
     LEVELS,
     STYLES,
+    VALUE_AT,
+    beside,
     component,
     count,
     drawn,
     in_words,
+    labelled,
     letters,
+    line,
     longest,
     number,
+    rule,
     sparkline,
     symbol_of,
 )
@@ -41,6 +45,9 @@ SILENT_AFTER_NS: Final = 2_000_000_000
 
 LOOP_ROWS: Final = 9
 """Lines of the panel of the loop on a screen of 24."""
+
+HISTORY: Final = 240
+"""States of the history, at least as many as the widest sparkline shows."""
 
 TOO_MANY: Final = 20
 """One missed step in so many is shown as trouble."""
@@ -108,7 +115,7 @@ class _Page:
     def __init__(self, state: State, width: int, view: ViewState, now_ns: int) -> None:
         self.state, self.width, self.view, self.now_ns = state, width, view, now_ns
         self.taps = ranked(state)
-        self.secrecy = secrecy(state, self.taps)
+        self.secrecy = secrecy(state)
 
     def body(self, height: int) -> list[Text]:
         """The panels that fit; the loop and its picture grow with the screen."""
@@ -186,14 +193,10 @@ class _Page:
 
     def _silent(self) -> list[str]:
         """The services whose statuses stopped without a last one that says so."""
-        state, seen = self.state, {}
-        if state.plant is not None and state.plant.phase != "stopped":
-            seen["plant"] = state.plant_seen_ns
-        if state.controller is not None and state.controller.phase != "stopped":
-            seen["controller"] = state.controller_seen_ns
-        if state.taps:
-            seen["tap"] = max(tap.seen_ns for tap in state.taps.values())
-        return [name for name, at in seen.items() if self.now_ns - at > SILENT_AFTER_NS]
+        ends = {"plant": self.state.plant, "controller": self.state.controller}
+        over = {name for name, end in ends.items() if end is not None and end.phase == "stopped"}
+        heard = [name for name in (*ends, "tap") if name in self.state.seen and name not in over]
+        return [n for n in heard if self.now_ns - self.state.seen[n] > SILENT_AFTER_NS]
 
     def footer(self) -> Text:
         """One line: how to go on, a note, or the keys."""
@@ -274,17 +277,19 @@ class _Page:
 
         Of an attacked plant the true component, with its history, stands beside the reported one.
         """
-        state, attacked = self.state, bool(self.state.true_states)
-        lines = []
+        truths, lines = [self.state.truths[k] for k in sorted(self.state.truths)], []
+        attacked = bool(truths and truths[-1].true_x_next)
+        history = [row.true_x_next if attacked else row.x for row in truths[-HISTORY:]]
         for i, value in enumerate(x):
-            told = f" x{i + 1}  {component(value, '+'):>8}  "
+            values = [state[i] for state in history if i < len(state)]
             if attacked:
                 told = f" x{i + 1} reported {component(value, '+'):>8}, true "
-            room = max(0, width - len(told) - (9 if attacked else 0))
-            history = _history(state.true_states if attacked else state.states, i, room)
-            if attacked:
-                told += f"{component(history[-1], '+') if history else '':>8} "
-            lines.append(line(told + sparkline(history[-room:] if room else [], LEVELS)))
+                told += f"{component(values[-1], '+'):>8} "
+            else:
+                told = f" x{i + 1}  {component(value, '+'):>8}  "
+                values.append(value)
+            room = max(0, width - len(told))
+            lines.append(line(told + sparkline(values[-room:] if room else [], LEVELS)))
         if len(lines) > rows:
             lines[rows - 1 :] = [line(f" and {len(lines) - rows + 1} more states")]
         return lines + [line()] * (2 - len(lines))
@@ -396,8 +401,3 @@ def _indent(text: str) -> str:
     """What a line goes on below: its text where it has a label."""
     label = _LABEL.match(text)
     return " " * (len(label[0]) if label else 3)
-
-
-def _history(states: Mapping[int, Sequence[float]], i: int, bars: int) -> list[float]:
-    """The last values of component ``i``, for so many bars: one at least."""
-    return [states[k][i] for k in sorted(states) if i < len(states[k])][-max(1, bars) :]
