@@ -175,7 +175,7 @@ def read_status(path: Path, kind: type[S]) -> S:
     """
     fields: dict[str, Any] = from_json(read_regular(path))
     fields.pop("health", None)
-    return kind.model_validate_json(to_json(fields))
+    return kind.model_validate(fields)
 
 
 class HealthWriter:

@@ -70,10 +70,10 @@ class TapState:
 class State:
     """All that the screen and the plain lines are made from.
 
-    ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``states``
-    are those that the plant reports, ``true_states`` what they are where it is attacked. ``seen``
-    is when a plant, controller or tap was heard last. ``malformed`` counts payloads that were no
-    message, and statuses of more taps than are kept.
+    ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``truths``
+    are the transitions that it has told, by step. ``seen`` is when a plant, controller or tap was
+    heard last. ``malformed`` counts payloads that were no message, and statuses of more taps than
+    are kept.
     """
 
     model: PlantModel | None = None

@@ -161,26 +161,18 @@ def secrecy(state: State) -> SecrecyScore:
     return SecrecyScore(claimed, left.bits, name, exceeds, of, left.why, failed, left.silent)
 
 
-def rate_of(state: State) -> float | None:
-    """Message bits per second of plant time, over the session; None: the period is not known.
+def rate_in_words(state: State) -> str:
+    """Message bits per second of plant time, over the session, and how many may be secret at most.
 
-    A count of what was sent, and no estimate: it has no interval.
+    The rate is a count of what was sent, and no estimate: it has no interval.
     """
     plant, model = state.plant, state.model
     if plant is None or model is None:
-        return None
-    if plant.step.k == 0 or model.period_s <= 0:
-        return 0.0
-    return plant.step.symbols * math.log2(state.candidates) / (plant.step.k * model.period_s)
-
-
-def rate_in_words(state: State) -> str:
-    """The rate with its unit, and how much of it may be secret at most."""
-    rate = rate_of(state)
-    if rate is None:
         return "- bit/s"
+    seconds, symbols = plant.step.k * model.period_s, plant.step.symbols
+    rate = symbols * math.log2(state.candidates) / seconds if seconds else 0.0
     its, hers = secrecy(state), attacker(state)
-    if state.plant is not None and state.plant.keys.made and not its.claimed_bits:
+    if plant.keys.made and not its.claimed_bits:
         broken = hers is not None and (hers.bits or hers.refuted)
         return f"{number(rate)} bit/s, {'not secret' if broken else 'secret if the claim holds'}"
     if its.left_bits is None or not its.claimed_bits:
@@ -209,12 +201,7 @@ def contradictions(state: State) -> Iterator[str]:
 
 def truth_for(state: State, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
-    best, best_right = state.sent, _right(state.sent, text)
-    for truth in state.texts:
-        right = _right(truth, text)
-        if right > best_right:
-            best, best_right = truth, right
-    return best
+    return max((state.sent, *state.texts), key=lambda truth: _right(truth, text))
 
 
 def characters_right(state: State, tap: TapState) -> tuple[int, int]:

@@ -118,15 +118,11 @@ def eavesdroppers(state: State, shown: Sequence[tuple[TapState, KnownSymbols]]) 
     for tap, its in shown:
         left = bits_left(1, state.candidates, its.share)
         bits = f"{left.high:.2f}" if its.of else "-"
-        right = _message_right(state, tap)
-        row = f"{keys_right(its):>12} {bits:>14} {right:>13} {_broke(tap):>14}"
+        right, total = characters_right(state, tap)
+        letters = longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
+        row = f"{keys_right(its):>12} {bits:>14} {letters:>13} {_broke(tap):>14}"
         lines.append(labelled(tap.status.name, line(row)))
     return lines if shown else [*lines, line(" none")]
-
-
-def _message_right(state: State, tap: TapState) -> str:
-    right, total = characters_right(state, tap)
-    return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
 
 
 def keys_right(its: KnownSymbols) -> str:

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 WAITING_AT_MOST: Final = 32 * 2**20
 """Bytes held between two looks; what comes beyond is dropped and counted."""
 
-MANAGEMENT_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
-ADVERSARY_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
-
 
 class BusSource:
     """Subscribes to the statuses of one loop over the management and the adversary bus.
@@ -39,14 +36,11 @@ class BusSource:
         self._types: dict[str, type[Message]] = {}
         self._waiting: Inbox[tuple[str, bytes, int]] = Inbox(WAITING_AT_MOST)
         self._malformed = 0
-        for bus, types in (
-            (management_bus, MANAGEMENT_WATCHED),
-            (adversary_bus, ADVERSARY_WATCHED),
-        ):
-            for message_type in types:
-                key = key_of(message_type, loop)
-                self._types[key] = message_type
-                bus.subscribe(key, self._deliver)
+        for kind in (PlantModel, PlantStatus, ControllerStatus, TapStatus):
+            key = key_of(kind, loop)
+            self._types[key] = kind
+            bus = adversary_bus if kind is TapStatus else management_bus
+            bus.subscribe(key, self._deliver)
 
     def _deliver(self, key: str, payload: bytes, _sent_ns: int) -> None:
         # On a foreign thread.

@@ -7,6 +7,7 @@ import math
 import unicodedata
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import zip_longest
 from typing import Final
 
 from rich.cells import cell_len
@@ -145,8 +146,8 @@ def labelled(label: str, value: Text) -> Text:
 def beside(left: Sequence[Text], right: Sequence[Text], width: int) -> list[Text]:
     """Two panels side by side, the left one ``width`` cells wide."""
     lines = []
-    for i in range(max(len(left), len(right))):
-        whole = left[i].copy() if i < len(left) else line()
+    for one, other in zip_longest(left, right, fillvalue=line()):
+        whole = one.copy()
         whole.truncate(width, overflow="ellipsis", pad=True)
-        lines.append(whole.append(" ").append(right[i] if i < len(right) else ""))
+        lines.append(whole.append(" ").append(other))
     return lines

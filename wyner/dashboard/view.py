@@ -352,12 +352,12 @@ class _Page:
         """Sent, recovered and what Eve has, one below the other, wrong characters marked with ^."""
         state = self.state
         sent, recovered = letters(state.sent), letters(state.recovered)
-        start = self._start(sent, len(recovered))
+        room = self.width - VALUE_AT
+        start = min(max(0, len(recovered) - room * 3 // 4), max(0, len(sent) - room))
         note = f"{len(recovered)} of {len(sent)} characters"
         if (controller := state.controller) is not None:
             frame = controller.frame
-            note += f"; messages delivered: {count(frame.delivered)}"
-            note += f", waiting: {count(frame.queue)}"
+            note += f"; messages delivered: {count(frame.delivered)}, waiting: {count(frame.queue)}"
         lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
@@ -374,11 +374,6 @@ class _Page:
             return [*lines, labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"]))]
         wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
         return [*lines, labelled(wrong if same else f"{wrong}, old", marks)]
-
-    def _start(self, sent: str, grown: int) -> int:
-        """The first character shown of a message that has grown so far."""
-        room = self.width - VALUE_AT
-        return min(max(0, grown - room * 3 // 4), max(0, len(sent) - room))
 
     def _marked(self, text: str, truth: str, start: int) -> tuple[Text, Text]:
         """The characters that there is room for, and a ^ for each that is wrong."""

@@ -112,15 +112,23 @@ def _status_of(run_dir: Path) -> RunStatus:
             controller = read_status(paths["controller"], ControllerStatus)
     except ValidationError as error:
         raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
-    claim, distance = _claim(run_dir)
-    distance *= 0 if plant is None else plant.keys.begun
-    lines = [*_of_plant(plant, claim, distance), *_of_controller(controller)]
+    claim, of_one = _claim(run_dir)
+    distance = 0.0 if plant is None else of_one * plant.keys.begun
+    lines: list[str] = []
+    warnings: list[str] = []
+    if not all(end is None or end.phase == "stopped" for end in (plant, controller)):
+        warnings += _silences(written)
+    if plant is not None:
+        lines += _of_plant(plant, claim, distance)
+        warnings += _warnings_of_plant(plant)
+    if controller is not None:
+        lines += _of_controller(controller)
+        warnings += _warnings_of_controller(controller)
+        stopped = controller.keys.stopped
+        if stopped and (plant is None or not plant.keys.stopped):
+            warnings.append(f"keys stopped at the controller: {stopped}")
     others = [name for name in written if name not in ("plant", "controller")]
     lines += [f"{name:<12}{written[name].get('health', 'reports')}" for name in others]
-    over = all(end is None or end.phase == "stopped" for end in (plant, controller))
-    warnings = [] if over else list(_silences(written))
-    warnings += _warnings_of_plant(plant)
-    warnings += _warnings_of_controller(controller, plant)
     warnings += _warnings_of_taps(run_dir)
     return RunStatus(written, claim, distance, tuple(lines), tuple(warnings))
 
@@ -160,9 +168,7 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterator[str]:
-    if plant is None:
-        return
+def _of_plant(plant: PlantStatus, claim: str, distance: float) -> Iterator[str]:
     step, keys = plant.step, plant.keys
     lost = f", blocks lost: {keys.lost}" if keys.lost else ""
     why = keys.refused or claim
@@ -178,9 +184,7 @@ def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterato
         )
 
 
-def _of_controller(controller: ControllerStatus | None) -> Iterator[str]:
-    if controller is None:
-        return
+def _of_controller(controller: ControllerStatus) -> Iterator[str]:
     frame, keys, alarms = controller.frame, controller.keys, controller.alarms
     yield (
         f"controller  {controller.phase}, {controller.step.transitions} transitions counted, "
@@ -193,34 +197,25 @@ def _of_controller(controller: ControllerStatus | None) -> Iterator[str]:
         )
 
 
-def _warnings_of_plant(plant: PlantStatus | None) -> list[str]:
-    if plant is None:
-        return []
+def _warnings_of_plant(plant: PlantStatus) -> Iterator[str]:
     step, keys = plant.step, plant.keys
-    found = [plant.detail] if plant.detail else []
+    if plant.detail:
+        yield plant.detail
     if step.outside:
-        found.append(f"d was outside D_c in {step.outside} steps")
+        yield f"d was outside D_c in {step.outside} steps"
     if step.symbol_errors:
-        found.append(f"{step.symbol_errors} agreed keys are not the input that was applied")
+        yield f"{step.symbol_errors} agreed keys are not the input that was applied"
     if keys.stopped:
-        found.append(f"keys stopped: {keys.stopped}")
+        yield f"keys stopped: {keys.stopped}"
     if keys.refused:
-        found.append(f"keys: {keys.refused}")
-    return found
+        yield f"keys: {keys.refused}"
 
 
-def _warnings_of_controller(
-    controller: ControllerStatus | None, plant: PlantStatus | None
-) -> list[str]:
-    if controller is None:
-        return []
-    alarms = controller.alarms.sentence()
-    found = [alarms] if alarms else []
+def _warnings_of_controller(controller: ControllerStatus) -> Iterator[str]:
+    if alarms := controller.alarms.sentence():
+        yield alarms
     if controller.step.unexplained:
-        found.append(f"{controller.step.unexplained} transitions that no candidate explains")
-    if controller.keys.stopped and (plant is None or not plant.keys.stopped):
-        found.append(f"keys stopped at the controller: {controller.keys.stopped}")
-    return found
+        yield f"{controller.step.unexplained} transitions that no candidate explains"
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
