@@ -216,7 +216,7 @@ def wait_until_all_run(folder: Path, loops: int, services: Mapping[str, ServiceP
     """
     until = time.monotonic() + PATIENCE_S
     while True:
-        running = sum(status["transitions"] > 0 for status in statuses_in(folder))
+        running = sum(status["step"]["transitions"] > 0 for status in statuses_in(folder))
         if running == loops:
             return
         for service in services.values():
@@ -228,11 +228,13 @@ def wait_until_all_run(folder: Path, loops: int, services: Mapping[str, ServiceP
 
 
 def _sums(statuses: list[dict[str, Any]]) -> dict[str, Any]:
+    steps = [status["step"] for status in statuses]
+    counts = [status["timing"]["latency_counts"] for status in statuses]
     return {
-        "k": sum(s["k"] for s in statuses),
-        "missed": sum(s["missed"] for s in statuses),
-        "counts": [sum(c) for c in zip(*(s["latency_counts"] for s in statuses), strict=True)],
-        "running": sum(s["transitions"] > 0 for s in statuses),
+        "k": sum(step["k"] for step in steps),
+        "missed": sum(step["missed"] for step in steps),
+        "counts": [sum(c) for c in zip(*counts, strict=True)],
+        "running": sum(step["transitions"] > 0 for step in steps),
     }
 
 

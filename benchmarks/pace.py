@@ -73,14 +73,15 @@ def run_at(
             services["plant"].wait(PATIENCE_S + 2 * steps / rate_hz)
         status = json.loads((folder / PLANT_STATUS).read_bytes())
         lines = [line.value or {} for p in parts_of(folder / PLANT_TRACE) for line in read_lines(p)]
+        counts = status["timing"]["latency_counts"]
         missed = sum(line.get("event") == "missed" and line["k"] >= WARM_UP for line in lines)
     return {
         "rate_hz": rate_hz,
-        "steps": max(status["k"] - WARM_UP, 0),
+        "steps": max(status["step"]["k"] - WARM_UP, 0),
         "missed": missed,
-        "p50_ms": quantile_ms(status["latency_counts"], 0.5),
-        "p99_ms": quantile_ms(status["latency_counts"], 0.99),
-        "p999_ms": quantile_ms(status["latency_counts"], 0.999),
+        "p50_ms": quantile_ms(counts, 0.5),
+        "p99_ms": quantile_ms(counts, 0.99),
+        "p999_ms": quantile_ms(counts, 0.999),
     }
 
 
@@ -93,11 +94,11 @@ def _wait_for_a_miss(plant: ServiceProcess, folder: Path) -> None:
             status = json.loads((folder / PLANT_STATUS).read_bytes())
         except FileNotFoundError:
             continue
-        if status["k"] < WARM_UP:
+        if status["step"]["k"] < WARM_UP:
             continue
         if in_warm_up is None:
-            in_warm_up = status["missed"]
-        elif status["missed"] > in_warm_up:
+            in_warm_up = status["step"]["missed"]
+        elif status["step"]["missed"] > in_warm_up:
             plant.process.terminate()
             return
 

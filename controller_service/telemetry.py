@@ -1,7 +1,7 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import Any, Final
+from typing import Final
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.state import ControllerState
@@ -11,6 +11,7 @@ from protocol.link.pacing import STATUS_S
 from protocol.link.session import CountedTransition
 from protocol.link.telemetry import Telemetry
 from protocol.messages import ControllerStatus
+from protocol.messages.management import AlarmStatus, EndSecrets, OutgoingFrame, StepStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
 
@@ -31,8 +32,8 @@ class ControllerTelemetry(Telemetry):
 
     def __init__(self, law: CandidateLaw | None = None, status_s: float = STATUS_S) -> None:
         super().__init__(None if law is None else status_s)
-        self._unexplained = self._watched = self._unwatched = self._alarms = 0
-        self._alarm: Alarm | None = None
+        self._watched = self._unwatched = 0
+        self._alarms = AlarmStatus()
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
@@ -40,7 +41,7 @@ class ControllerTelemetry(Telemetry):
 
     def counted(self, t: CountedTransition) -> None:
         """Take in a transition."""
-        self._unexplained += t.verdict.unexplained
+        super().counted(t)
         if t.expected != NO_SYMBOL:
             self._watched += 1
         else:
@@ -50,13 +51,19 @@ class ControllerTelemetry(Telemetry):
 
     def alarmed(self, alarm: Alarm) -> None:
         """Take in an alarm."""
-        self._alarms += 1
-        self._alarm = alarm
+        self._alarms = self._alarms.model_copy(
+            update={
+                "count": self._alarms.count + 1,
+                "k": alarm.k,
+                "reading": alarm.reading,
+                "expected": () if alarm.reason == "unwatched" else alarm.expected,
+                "gauge": min(alarm.gauge, LARGEST_GAUGE),
+            }
+        )
 
     def status(self, state: ControllerState, malformed: int) -> ControllerStatus:
         """What the dashboard is told of the controller."""
-        session, link, _, frame, _, _ = state.record
-        messages, rules = state.messages, state.rules
+        link, frame, messages, rules = state.link, state.frame.record, state.messages, state.rules
         idle, shown = frame.message >= messages.queued, frame.message
         if not idle and shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
@@ -66,40 +73,21 @@ class ControllerTelemetry(Telemetry):
             set_index = self._law.index(link.x) if self._law is not None and link.x else -1
         except LookupError:
             set_index = -1
-        self._seq += 1
+        unwatched = self._unwatched if rules.keyed else 0
         return ControllerStatus.model_construct(
-            seq=self._seq,
-            t_ns=time.time_ns(),
-            phase=self.phase,
-            detail=self.detail,
-            session=session.id,
-            k=link.k,
+            **self.common(state, malformed, time.time_ns()),
             set_index=set_index,
-            transitions=link.transitions,
-            agreements=link.agreements,
-            malformed=malformed,
-            automaton=link.s,
-            sending="" if payload is None else self._sending.text(payload),
-            frame_symbols=length if idle else frame.offset,
-            frame_length=length,
-            queue=max(0, messages.queued - frame.message - 1),
-            delivered=frame.message,
-            unexplained=self._unexplained,
-            watched=self._watched,
-            unwatched=self._unwatched if rules.keyed else 0,
-            alarms=self._alarms,
-            **self._last_alarm(),
-            **state.keys.status_fields(),
+            step=StepStatus.model_construct(**self.step(state)),
+            frame=OutgoingFrame.model_construct(
+                symbols=length if idle else frame.offset,
+                length=length,
+                delivered=frame.message,
+                queue=max(0, messages.queued - frame.message - 1),
+            ),
+            alarms=self._alarms.model_copy(
+                update={"watched": self._watched, "unwatched": unwatched}
+            ),
+            secrets=EndSecrets.model_construct(
+                message="" if payload is None else self._sending.text(payload)
+            ),
         )
-
-    def _last_alarm(self) -> dict[str, Any]:
-        """A status's fields of the last alarm."""
-        alarm = self._alarm
-        if alarm is None:
-            return {}
-        return {
-            "alarm_k": alarm.k,
-            "alarm_reading": alarm.reading,
-            "alarm_expected": () if alarm.reason == "unwatched" else alarm.expected,
-            "alarm_gauge": min(alarm.gauge, LARGEST_GAUGE),
-        }

@@ -89,17 +89,15 @@ class ReachWatch:
         self._left = False
         self._contradicted = False
         self.sessions = self.exceeded = 0
-        self.outside = self.unexplained = 0
+        self.outside = 0
 
     def counted(self, verdict: AgreementResult, coin: int) -> str | None:
         """Count a transition; a line the first time that the promise is contradicted.
 
-        ``outside`` is exact, as the plant knows its coin; ``unexplained`` are those that no
-        candidate explains, which the controller sees too.
+        ``outside`` is exact, as the plant knows its coin.
         """
         out = verdict.gauges[coin] > INSIDE
         self.outside += out
-        self.unexplained += verdict.unexplained
         c = self._calibration
         if c is None:
             return None

@@ -3,20 +3,25 @@
 import time
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
 from math import isfinite
 from typing import Final, Self
 
 from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.state import PlantState
 from protocol.link.pacing import STATUS_S
-from protocol.link.records import LinkRecord
 from protocol.link.session import CountedTransition
 from protocol.link.telemetry import Telemetry
 from protocol.messages import LATENCY_BOUNDS_S, Message, PlantModel, PlantStatus
+from protocol.messages.management import (
+    IncomingFrame,
+    PicturedStep,
+    PlantSecrets,
+    PlantStep,
+    TailStep,
+    TimingStatus,
+)
 from protocol.scenario import Calibration, Scenario
 from protocol.text import Shown, readable
-from protocol.vectors import Vector
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""
@@ -46,8 +51,6 @@ class PlantTelemetry(Telemetry):
         What does not change. None: no status is published.
     calibration : Calibration, optional
         What was promised of D_c.
-    hidden : int
-        Where outputs are read: states, which are told once they are estimated.
     status_s : float
         Seconds between statuses.
     """
@@ -56,7 +59,6 @@ class PlantTelemetry(Telemetry):
         self,
         model: PlantModel | None = None,
         calibration: Calibration | None = None,
-        hidden: int = 0,
         status_s: float = STATUS_S,
     ) -> None:
         super().__init__(None if model is None else status_s)
@@ -70,7 +72,6 @@ class PlantTelemetry(Telemetry):
         self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
         self._tail: deque[CountedTransition] = deque(maxlen=0 if model is None else TAIL)
         self.model = model
-        self._hidden = hidden
         self._old = self._new = 0
         self._partial = Shown()
         self._rate_mark = (0.0, 0)
@@ -90,9 +91,8 @@ class PlantTelemetry(Telemetry):
             Whether the run's symbols can be predicted.
         status_s : float
         """
-        hidden = 0 if scenario.plant.C is None else scenario.n
         model = _model(scenario, pace, seeded=seeded)
-        return cls(model, scenario.defender.calibration, hidden, status_s)
+        return cls(model, scenario.defender.calibration, status_s)
 
     def measured(self, k: int, now: float) -> None:
         """Note when Measurement(k) left first."""
@@ -110,6 +110,7 @@ class PlantTelemetry(Telemetry):
 
     def counted(self, t: CountedTransition) -> str | None:
         """Take in a transition; a line the first time that the promise of D_c is contradicted."""
+        super().counted(t)
         self._tail.append(t)
         self._new += 1
         return self.watch.counted(t.verdict, t.coin)
@@ -123,96 +124,74 @@ class PlantTelemetry(Telemetry):
         status = self.status(state, malformed, whole=whole)
         return (self.model, status) if whole else (status,)
 
-    def _x(self, link: LinkRecord) -> Vector:
-        """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
-        if link.estimate is not None:
-            return link.estimate.box.centre
-        return (0.0,) * self._hidden or link.x
-
     def status(self, state: PlantState, malformed: int, *, whole: bool = True) -> PlantStatus:
         """What the dashboard is told of the plant.
 
         A ``whole`` one shows all transitions that are remembered, for whoever has not heard the
         statuses before; the others what came since the last but one, should the last be lost.
         """
-        session, link, applied, frame, _ = state.record
-        deframer, now_s = state.frame.deframer, state.now
+        link, applied, frame, deframer = (
+            state.link,
+            state.applied,
+            state.frame,
+            state.frame.deframer,
+        )
         mark, transitions = self._rate_mark
-        if now_s - mark >= RATE_S:
-            self._rate_hz = max(0.0, (link.transitions - transitions) / (now_s - mark))
-            self._rate_mark = (now_s, link.transitions)
-        self._seq += 1
+        if state.now - mark >= RATE_S:
+            self._rate_hz = max(0.0, (link.transitions - transitions) / (state.now - mark))
+            self._rate_mark = (state.now, link.transitions)
         shown = TAIL if whole else max(TAIL_AT_LEAST, self._old + self._new)
         self._old, self._new = self._new, 0
-        tail = list(self._tail)[-shown:]
-        pictured = next(filter(_can_be_drawn, reversed(self._tail)), None)
-        true = _truths(tail)
+        common = self.common(state, malformed, time.time_ns())
+        common["detail"] = self.detail or self.watch.doubt
         return PlantStatus.model_construct(
-            seq=self._seq,
-            t_ns=time.time_ns(),
-            phase=self.phase,
-            detail=self.detail or self.watch.doubt,
-            session=session.id,
-            sessions=session.sessions,
-            k=link.k,
-            x=self._x(link),
-            transitions=link.transitions,
-            missed=applied.missed,
-            late=self.late,
-            malformed=malformed,
-            agreements=link.agreements,
-            symbol_errors=applied.symbol_errors,
-            rate_hz=self._rate_hz,
-            automaton=link.s,
-            recovered_symbols=link.p,
-            messages=frame.messages,
-            last_message=readable(self.last_message),
-            message_k=self.message_k,
-            latency_counts=tuple(self._latencies),
-            partial=self._partial.text(deframer.partial),
-            frame_symbols=len(deframer.symbols),
-            frame_length=deframer.expected_length,
-            frames_refused=frame.refused,
-            outside=self.watch.outside,
-            unexplained=self.watch.unexplained,
-            sampled_late_s=self.punctuality.sampled_late_s,
-            actuated_after_s=self.punctuality.actuated_after_s,
-            overruns=self.punctuality.overruns,
-            **state.keys.status_fields(),
-            key_blocks_begun=state.keys.record.begun,
-            pictured_k=pictured.k if pictured else -1,
-            pictured_x=_before(pictured) if pictured else (),
-            pictured_candidates=pictured.candidates if pictured else (),
-            pictured_x_next=_after(pictured) if pictured else (),
-            pictured_gauges=pictured.verdict.gauges if pictured else (),
-            pictured_symbol=pictured.symbol if pictured else -1,
-            pictured_inside=pictured.verdict.inside if pictured else 0,
-            tail_k=tuple([t.k for t in tail]),
-            tail_x=tuple([_before(t) for t in tail]),
-            tail_role=tuple([t.role for t in tail]),
-            tail_symbol=tuple([t.symbol for t in tail]),
-            tail_automaton=tuple([t.s for t in tail]),
-            tail_coin=tuple([t.coin for t in tail]),
+            **common,
+            sessions=state.session.record.sessions,
+            step=PlantStep.model_construct(
+                **self.step(state),
+                missed=applied.missed,
+                symbol_errors=applied.symbol_errors,
+                outside=self.watch.outside,
+            ),
+            frame=IncomingFrame.model_construct(
+                symbols=len(deframer.symbols),
+                length=deframer.expected_length,
+                messages=frame.record.messages,
+                message_k=self.message_k,
+                refused=frame.record.refused,
+            ),
+            timing=TimingStatus.model_construct(
+                late=self.late,
+                rate_hz=self._rate_hz,
+                latency_counts=tuple(self._latencies),
+                sampled_late_s=self.punctuality.sampled_late_s,
+                actuated_after_s=self.punctuality.actuated_after_s,
+                overruns=self.punctuality.overruns,
+            ),
             attack=self.attack,
-            true_x=true[-1] if true and tail[-1].k + 1 == link.k else (),
-            tail_true_x=true,
+            secrets=PlantSecrets.model_construct(
+                message=self._partial.text(deframer.partial),
+                last_message=readable(self.last_message),
+                pictured=next(filter(None, map(_pictured, reversed(self._tail))), None),
+                tail=tuple(map(_shown, list(self._tail)[-shown:])),
+            ),
         )
 
 
-def _before(t: CountedTransition) -> Vector:
-    """x(k) as both ends have it: as it is read, or the centre of its box."""
-    return t.x if t.verdict.box is None else t.verdict.box.centre
+def _shown(t: CountedTransition) -> TailStep:
+    """A transition, with x(k) as both ends have it: as it is read, or the centre of its box."""
+    x = t.x if t.verdict.box is None else t.verdict.box.centre
+    true = () if t.truth is None else t.truth.x_next
+    return TailStep(t.k, x, t.role, t.symbol, t.coin, true)
 
 
-def _after(t: CountedTransition) -> Vector:
-    """x(k+1) likewise."""
-    return t.x_next if t.verdict.estimate is None else t.verdict.estimate.box.centre
-
-
-def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
-    """The true states of an attacked plant after these, where all of them are known."""
-    true = tuple(t.truth.x_next for t in tail if t.truth is not None)
-    return true if len(true) == len(tail) else ()
+def _pictured(t: CountedTransition) -> PicturedStep | None:
+    """A transition to be drawn; None where it was not tested, or a gauge is no finite number,
+    which a message cannot hold."""
+    gauges, inside = t.verdict.gauges, t.verdict.inside
+    if not (t.tested and all(map(isfinite, gauges))):
+        return None
+    return PicturedStep.model_construct(k=t.k, gauges=gauges, symbol=t.symbol, inside=inside)
 
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
@@ -236,8 +215,3 @@ def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
         keys_claim="" if scenario.keys is None else scenario.keys.assumption().sentence(),
         keys_eps=0.0 if scenario.keys is None else scenario.keys.eps_sec,
     )
-
-
-def _can_be_drawn(t: CountedTransition) -> bool:
-    """Whether its gauges are finite: a message holds no other numbers."""
-    return t.tested and all(map(isfinite, t.verdict.gauges))

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from pydantic_core import from_json, to_json
 
-from protocol.messages import ControllerStatus, PlantStatus, Status
+from protocol.messages import PlantStatus, Status
 from runtime.files import read_regular, write_atomically
 
 WINDOW_S: Final = 10.0
@@ -41,7 +41,7 @@ SILENT: Final = (
 )
 """Why nothing moves: once the loop has moved, with a partner, and without one."""
 
-S = TypeVar("S", "PlantStatus", "ControllerStatus")
+S = TypeVar("S", bound=Status)
 
 
 class LivenessReport(NamedTuple):
@@ -143,9 +143,9 @@ class HealthFiles:
 
         The status holds no text, key or coin: its readers need not be on the management bus.
         """
-        missed = status.missed if isinstance(status, PlantStatus) else 0
+        missed = status.step.missed if isinstance(status, PlantStatus) else 0
         meeting = status.phase == "greeting"
-        beat = self._pulse.beat(now_s, status.transitions, missed, meeting=meeting)
+        beat = self._pulse.beat(now_s, status.step.transitions, missed, meeting=meeting)
         if beat.notice:
             self.log.log(logging.INFO if beat.good else logging.WARNING, "%s", beat.notice)
         health = beat.line
@@ -175,7 +175,7 @@ def read_status(path: Path, kind: type[S]) -> S:
     """
     fields: dict[str, Any] = from_json(read_regular(path))
     fields.pop("health", None)
-    return kind.model_validate_json(to_json(fields))
+    return kind.model_validate(fields)
 
 
 class HealthWriter:

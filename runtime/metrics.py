@@ -6,12 +6,13 @@ every sample is read off the newest status of each loop when somebody asks.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic_core import from_json
 
-from protocol.messages import LATENCY_BOUNDS_S, ControllerStatus, PlantStatus, TapStatus
-from protocol.messages.base import Metric
+from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.messages.base import Metric, Part
 from runtime.bus import Bus, Overheard
 from runtime.errors import UsageError, needs
 
@@ -21,16 +22,10 @@ if TYPE_CHECKING:
 Statuses = dict[tuple[str, str, str], bytes]
 """The newest status of each topic, loop and eavesdropper."""
 
-METRICS: Final = {
-    kind.topic: {
-        name: metric
-        for name, field in kind.model_fields.items()
-        for metric in field.metadata
-        if isinstance(metric, Metric)
-    }
-    for kind in (PlantStatus, ControllerStatus, TapStatus)
-}
-"""Of each kind of status the fields that are metrics."""
+KINDS: Final = {kind.topic: kind for kind in (PlantStatus, ControllerStatus, TapStatus)}
+"""The messages that have metrics."""
+
+LABELS: Final = ("loop", "service", "eavesdropper")
 
 
 class NotedBus(Overheard):
@@ -49,7 +44,7 @@ class NotedBus(Overheard):
 
     def _note(self, key: str, payload: bytes) -> None:
         _base, _version, loop, topic = key.split("/", 3)
-        if topic in METRICS:
+        if topic in KINDS:
             name = from_json(payload)["name"] if topic == TapStatus.topic else ""
             self._statuses[topic, loop, name] = payload
 
@@ -58,6 +53,15 @@ class NotedBus(Overheard):
         super().left(loop)
         for place in [place for place in list(self._statuses) if place[1] == loop]:
             del self._statuses[place]
+
+
+def metrics_of(part: Part) -> Iterator[tuple[Metric, Any]]:
+    """The fields of a status that are metrics, with their values; those of its parts, too."""
+    for name, field in type(part).model_fields.items():
+        value = getattr(part, name)
+        if isinstance(value, Part):
+            yield from metrics_of(value)
+        yield from ((m, value) for m in field.metadata if isinstance(m, Metric))
 
 
 class StatusCollector:
@@ -74,35 +78,27 @@ class StatusCollector:
             HistogramMetricFamily,
         )
 
-        found: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
-        latency = HistogramMetricFamily(
-            "wyner_offer_latency_seconds",
-            "from a step's first measurement to its offer",
-            labels=["loop"],
-        )
+        families = {
+            "counter": CounterMetricFamily,
+            "gauge": GaugeMetricFamily,
+            "histogram": HistogramMetricFamily,
+        }
+        found: dict[str, Any] = {}
         for (topic, loop, name), payload in sorted(self._statuses.copy().items()):
-            status: dict[str, Any] = from_json(payload)
-            service = topic.split("/")[1]
-            for field, metric in METRICS[topic].items():
+            where = [loop, topic.split("/")[1], name]
+            for metric, value in metrics_of(KINDS[topic].model_validate_json(payload)):
                 if metric.name not in found:
-                    family = GaugeMetricFamily if metric.now else CounterMetricFamily
-                    labels = ["loop", "service", "eavesdropper"]
-                    found[metric.name] = family(f"wyner_{metric.name}", metric.help, labels=labels)
-                value = status[field]
-                value = bool(value) if isinstance(value, str) else max(0, value)
-                found[metric.name].add_metric([loop, service, name], value)
-            if topic == PlantStatus.topic:
-                self._histogram(latency, loop, status["latency_counts"])
+                    family = families[metric.kind]
+                    found[metric.name] = family(f"wyner_{metric.name}", metric.help, labels=LABELS)
+                if metric.kind == "histogram":
+                    # The counts are of buckets: the sum is not known, and is not made up.
+                    edges = [*(f"{bound:g}" for bound in metric.bounds), "+Inf"]
+                    buckets = list(zip(edges, accumulate(value), strict=True))
+                    found[metric.name].add_metric(where, buckets, sum_value=None)
+                else:
+                    number = bool(value) if isinstance(value, str) else max(0, value)
+                    found[metric.name].add_metric(where, number)
         yield from found.values()
-        yield latency
-
-    def _histogram(self, latency: Any, loop: str, counts: list[int]) -> None:
-        buckets, total = [], 0
-        for bound, count in zip((*LATENCY_BOUNDS_S, float("inf")), counts, strict=True):
-            total += count
-            buckets.append((f"{bound:g}" if bound < float("inf") else "+Inf", float(total)))
-        # The counts are of buckets: the sum is not known, and is not made up.
-        latency.add_metric([loop], buckets, sum_value=None)
 
 
 def host_and_port(address: str) -> tuple[str, int]:

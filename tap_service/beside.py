@@ -116,7 +116,8 @@ class Beside:
             if name in self._newest or self.down:
                 (status, record), then = self._newest.get(name) or (absent(name), 0)
                 behind = status.behind + max(captured - then, 0) // 2
-                its: dict[str, object] = {"behind": behind, "restarts": self._starts - 1}
+                unused = status.unused.model_copy(update={"restarts": self._starts - 1})
+                its: dict[str, object] = {"behind": behind, "unused": unused}
                 if self.down:
                     its["failed"] = self.down
                     record = record | {"symbols": None}

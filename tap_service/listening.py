@@ -13,11 +13,12 @@ from typing import Final, TypeVar
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
+from protocol.messages.adversary import KeysHeld
 from protocol.text import printable
 from runtime.child import kill_after
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
 T = TypeVar("T")
 U = TypeVar("U")

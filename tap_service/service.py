@@ -228,14 +228,19 @@ class TapService:
             reports += process.reports(self.capture.written)
         for its, record in reports:
             self._seq += 1
+            unused = its.unused.model_copy(
+                update={
+                    "dropped": self._dropped(),
+                    "malformed": self._complaints.total,
+                    "restarts": its.unused.restarts + self._restarts,
+                }
+            )
             status = its.model_copy(
                 update={
                     "seq": self._seq,
                     "t_ns": time.time_ns(),
                     "mirrored": self.capture.written,
-                    "dropped": self._dropped(),
-                    "malformed": self._complaints.total,
-                    "restarts": its.restarts + self._restarts,
+                    "unused": unused,
                 }
             )
             self._records[status.name] = record | facts_of(status)

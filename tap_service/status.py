@@ -7,8 +7,9 @@ from typing import Any, Final
 from pydantic_core import to_json
 
 from protocol.messages import TapStatus
+from protocol.messages.adversary import BeliefStatus, TailGuess, UnusedStatus
 from protocol.text import printable, readable
-from tap_service.eavesdroppers.base import Belief, KeysHeld
+from tap_service.eavesdroppers.base import Belief
 from tap_service.listening import Listener, Listeners
 
 Report = tuple[TapStatus, dict[str, Any]]
@@ -17,11 +18,7 @@ Report = tuple[TapStatus, dict[str, Any]]
 SHOWN_TEXT: Final = 2000
 """Characters of a message that a status shows."""
 
-UNUSED: Final = ("foreign", "late", "jumped", "dropped", "malformed", "restarts")
-"""What a status counts of all that the tap heard and could not use."""
-
-NO_COUNTS: Final = dict.fromkeys(("seq", "t_ns", "mirrored", "dropped", "behind", "malformed"), 0)
-"""The counts that a status must have."""
+NOTHING_UNUSED: Final = UnusedStatus()
 
 
 def reports_of(listeners: Listeners, *, behind: int, last: bool) -> Iterator[Report]:
@@ -30,55 +27,52 @@ def reports_of(listeners: Listeners, *, behind: int, last: bool) -> Iterator[Rep
     They are asked for the message symbols at the ``last`` alone; before they are None, and so they
     are of one who failed. ``behind`` steps they have not heard yet.
     """
-    counts = {"behind": behind, **listeners.transcript.unused._asdict()}
+    unused = UnusedStatus(**listeners.transcript.unused._asdict())
     for listener in listeners.listeners:
-        yield report_of(listeners.session, listener, NO_COUNTS | counts, last=last)
+        yield report_of(listeners.session, listener, unused, behind, last=last)
 
 
 def report_of(
-    session: str, listener: Listener, counts: Mapping[str, int] = NO_COUNTS, *, last: bool
+    session: str,
+    listener: Listener,
+    unused: UnusedStatus = NOTHING_UNUSED,
+    behind: int = 0,
+    *,
+    last: bool,
 ) -> Report:
     """What one eavesdropper believes; see :func:`reports_of`."""
     belief = listener.belief()
     symbols = listener.message_symbols() if last else None
-    tail = list(listener.tail)
+    keys = belief.keys
+    if keys is not None:
+        keys = keys.model_copy(update={"newest": ()})  # for the record
     status = TapStatus(
         name=listener.name,
         steps=listener.steps,
         lost=listener.holes,
-        message=readable(belief.message)[:SHOWN_TEXT],
-        confidence=belief.confidence,
-        candidates_left=belief.candidates_left,
-        solved_k=belief.solved_k,
-        bits_left=belief.bits_left,
-        given=belief.given,
+        behind=behind,
         failed=printable(listener.failed)[:SHOWN_TEXT],
-        A=belief.A,
-        B=belief.B,
-        **_of_keys(belief.keys),
-        tail_k=tuple(g.k for g in tail),
-        tail_symbol=tuple(g.best for g in tail),
-        tail_probability=tuple(max(g.symbol) for g in tail),
-        tail_agreed=tuple(g.agreed for g in tail),
-        **counts,
+        unused=unused,
+        belief=BeliefStatus(
+            message=readable(belief.message)[:SHOWN_TEXT],
+            confidence=belief.confidence,
+            candidates_left=belief.candidates_left,
+            solved_k=belief.solved_k,
+            bits_left=belief.bits_left,
+            given=belief.given,
+            A=belief.A,
+            B=belief.B,
+        ),
+        keys=keys,
+        tail=tuple(TailGuess(g.k, g.best, max(g.symbol), g.agreed) for g in listener.tail),
     )
     return status, _record(session, status, belief, symbols)
 
 
 def absent(name: str) -> Report:
     """The report of one who has not said anything yet."""
-    belief = Belief()
-    status = TapStatus(
-        name=name,
-        steps=0,
-        lost=0,
-        message="",
-        confidence=0.0,
-        candidates_left=0,
-        solved_k=-1,
-        **NO_COUNTS,
-    )
-    return status, _record("", status, belief, None)
+    status = TapStatus(name=name)
+    return status, _record("", status, Belief(), None)
 
 
 def _record(
@@ -92,14 +86,8 @@ def _record(
         "message": base64.b64encode(belief.message).decode("ascii"),
         "whole": [base64.b64encode(w).decode("ascii") for w in belief.whole],
         "whole_count": belief.whole_count,
-        "confidence": belief.confidence,
-        "candidates_left": belief.candidates_left,
-        "solved_k": belief.solved_k,
-        "bits_left": belief.bits_left,
-        "given": belief.given,
+        **status.belief.model_dump(exclude={"message"}),
         "symbols": symbols,
-        "A": belief.A,
-        "B": belief.B,
         "keys": None if belief.keys is None else belief.keys.model_dump(),
         **facts_of(status),
     }
@@ -110,25 +98,7 @@ def facts_of(status: TapStatus) -> dict[str, Any]:
     return {
         "failed": status.failed,
         "behind": status.behind,
-        "unused": {name: getattr(status, name) for name in UNUSED},
-    }
-
-
-def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
-    """The status's fields of keys, of one who attacks them."""
-    if keys is None:
-        return {}
-    return {
-        "key_blocks": keys.blocks,
-        "key_bits_held": keys.bits,
-        "copies": keys.copies,
-        "copies_missed": keys.missed,
-        "missed_at_most": keys.at_most,
-        "missed_direction": keys.direction,
-        "copies_absent": keys.absent,
-        "key_steps_unplaced": keys.unplaced,
-        "claim_refuted": keys.refuted,
-        "misses_in_bursts": keys.bursts,
+        "unused": status.unused.model_dump(),
     }
 
 

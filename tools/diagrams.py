@@ -15,6 +15,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message
+from protocol.messages.base import Part
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.topics import key_of
@@ -72,12 +73,22 @@ def state_diagram(scheme: Scheme[Any]) -> str:
 
 
 def wire_table(kinds: Sequence[type[Message]]) -> Lines:
-    """Messages of a bus: the key they travel on, and their fields."""
+    """Messages of a bus: the key they travel on, and their fields, those of their parts too."""
     lines = [("message", "key", "fields")]
     for kind in kinds:
-        names = ", ".join(f"`{name}`" for name in kind.model_fields)
+        names = ", ".join(f"`{name}`" for name in _names(kind))
         lines.append((f"`{kind.__name__}`", f"`{key_of(kind, 'LOOP')}`", names))
     return lines
+
+
+def _names(part: type[Part], before: str = "") -> Iterator[str]:
+    for name, field in part.model_fields.items():
+        kinds = (field.annotation, *get_args(field.annotation))
+        parts = [kind for kind in kinds if inspect.isclass(kind) and issubclass(kind, Part)]
+        if parts:
+            yield from _names(parts[0], f"{before}{name}.")
+        else:
+            yield f"{before}{name}"
 
 
 def session_table(rules: dict[Any, Any]) -> Lines:

@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from protocol.link.records import KeyRecord, LinkRecord
 from protocol.messages import Measurement, Offer
+from protocol.messages.management import KeyStatus
 from protocol.secret.blocks import NO_TAG, ClosedBlock, ExtractedBlock, OpenBlock, Schedule
 from protocol.secret.nonces import (
     FIRST,
@@ -355,15 +356,17 @@ class Distiller:
             self._wanted.discard(number)
         return tuple(range(schedule.begins(n), schedule.begins(n + 1)) for n in sorted(over))
 
-    def status_fields(self) -> dict[str, Any]:
-        """Fields of a status on keys."""
-        return {
-            "keys_made": self.made,
-            "keys_of_block": self.last[0],
-            "key_block_steps": self.last[1],
-            "keys_refused": self.broken,
-            "keys_stopped": self.crowded or self.stopped,
-            "key_blocks_lost": self.lost,
-            "appearances": self.appearances,
-            "digits_left": self.stream.left,
-        }
+    def status(self) -> KeyStatus:
+        """What a status says of keys."""
+        of_block, steps = self.last
+        return KeyStatus.model_construct(
+            made=self.made,
+            lost=self.lost,
+            begun=self.record.begun,
+            of_block=of_block,
+            block_steps=steps,
+            refused=self.broken,
+            stopped=self.crowded or self.stopped,
+            digits_left=self.stream.left,
+            appearances=self.appearances,
+        )

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 from protocol.link.effects import Notice
 from protocol.link.pacing import HEALTH_S, next_turn, phase_of
+from protocol.link.session import CountedTransition
+from protocol.link.state import EndState
 from protocol.messages import Message, Status
 
 Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
@@ -34,7 +36,12 @@ class Telemetry(ABC):
         self.detail = ""
         self.due_at = inf
         self.health_at = -inf
-        self._seq = 0
+        self._seq = self._unexplained = 0
+
+    def counted(self, t: CountedTransition) -> str | None:
+        """Take in a transition; what is to be warned of, if anything."""
+        self._unexplained += t.verdict.unexplained
+        return None
 
     def enter(self, phase: Phase, detail: str | None = None) -> None:
         """The end is in another phase; None: the detail stays."""
@@ -70,6 +77,38 @@ class Telemetry(ABC):
         if due:
             self.health_at = now + HEALTH_S
         return due
+
+    def common(self, state: EndState, malformed: int, t_ns: int) -> dict[str, Any]:
+        """The fields of a status that both ends have alike, but for the step."""
+        self._seq += 1
+        return {
+            "seq": self._seq,
+            "t_ns": t_ns,
+            "phase": self.phase,
+            "detail": self.detail,
+            "malformed": malformed,
+            "session": state.record.session.id,
+            "keys": state.keys.status(),
+        }
+
+    def step(self, state: EndState) -> dict[str, Any]:
+        """The fields of a step that both ends have alike.
+
+        Where outputs are read the state is as it was estimated after the last offer.
+        """
+        link, x = state.link, state.link.x
+        if state.rules.outputs is not None:
+            states = (0.0,) * len(state.rules.agreement.A)
+            x = states if link.estimate is None else link.estimate.box.centre
+        return {
+            "k": link.k,
+            "x": x,
+            "transitions": link.transitions,
+            "agreements": link.agreements,
+            "symbols": link.p,
+            "automaton": link.s,
+            "unexplained": self._unexplained,
+        }
 
     @abstractmethod
     def status(self, state: Any, malformed: int) -> Status:

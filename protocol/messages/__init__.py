@@ -1,11 +1,12 @@
-"""The messages on the wire: flat, frozen, versioned. Nothing on the field bus is secret.
+"""The messages on the wire: frozen, versioned. Nothing on the field bus is secret.
 
 Each of the three buses has a file of this package. The tap reads *field* messages. They hold no
 key, no plaintext and no automaton state, and have the same form in both states. *Management*
 messages pass between controller, plant, dashboard and operator. *Adversary* messages carry the
 tap's guesses.
 
-No model is nested in another, so a recorder's schema of each needs no reference.
+Field messages are flat, so a recorder's schema of each needs no reference. A status is made of
+parts, which stand in the file of its bus.
 """
 
 from protocol.messages.adversary import ADVERSARY, TapStatus

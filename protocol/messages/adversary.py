@@ -1,12 +1,147 @@
 """Adversary messages: what the tap tells whoever watches it."""
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Final, Self
+from typing import Annotated, ClassVar, Final, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field, FiniteFloat
 
-from protocol.messages.base import MALFORMED, Count, Message, Metric
-from protocol.vectors import FiniteVector
+from protocol.messages.base import Count, Malformed, Message, Metric, Part
+from protocol.vectors import FiniteMatrix
+
+
+class UnusedStatus(Part):
+    """What the tap heard and could not use.
+
+    Attributes
+    ----------
+    foreign, late : int
+        Messages of other sessions or of steps far ahead, and those that came after their step was
+        given out without them.
+    jumped : int
+        Steps that the tap skipped, as it heard nothing of them.
+    dropped, malformed : int
+        Messages that the tap has heard and lost, and could not read.
+    restarts : int
+        Times that the eavesdropper's process was started again.
+    """
+
+    foreign: Count = 0
+    late: Count = 0
+    jumped: Count = 0
+    dropped: Annotated[Count, Metric("tap_dropped", "messages that the tap heard and lost")] = 0
+    malformed: Malformed = 0
+    restarts: Count = 0
+
+
+class BeliefStatus(Part):
+    """What an eavesdropper thinks of the message so far.
+
+    Attributes
+    ----------
+    message : str
+        Eve's best message; unprintable bytes are shown as ``·``.
+    confidence : float
+        How sure Eve is of it, 0 to 1.
+    candidates_left : int
+        Messages that are still possible to Eve; 0: this kind does not count them.
+    solved_k : int
+        Step at which Eve first was sure of a whole message; -1: not yet.
+    bits_left : float or None
+        Entropy of the message given all that Eve heard, in bits, by Eve's own account. None: this
+        kind does not compute it.
+    given : str
+        Which kind of text Eve takes the message for, as ``German``: that entropy is given it too.
+    A, B : tuple of tuple of float
+        The model that Eve has learned or was given; empty: none.
+    """
+
+    message: str = ""
+    confidence: float = 0.0
+    candidates_left: Count = 0
+    solved_k: Annotated[int, Field(ge=-1)] = -1
+    bits_left: Annotated[FiniteFloat, Field(ge=0)] | None = None
+    given: str = ""
+    A: FiniteMatrix = ()
+    B: FiniteMatrix = ()
+
+
+class HeldBlock(Part):
+    """A key block as one who attacks keys sees it: ``bits`` are what Eve can compute of its rows.
+
+    ``counted`` copies made ``rows``, of which the first is no key; ``missed`` Eve did not hear.
+    """
+
+    session: str
+    number: int
+    counted: int
+    rows: int
+    missed: int
+    bits: int
+
+
+class KeysHeld(Part):
+    """What one who attacks keys holds of them.
+
+    Attributes
+    ----------
+    blocks, broken : int
+        Blocks that made keys, and those that Eve can compute a bit of.
+    bits : int
+        Bits of their rows that Eve can compute, by rank.
+    copies, missed : int
+        Copies 0 that were sent while Eve was there, as far as Eve can tell, and those of them that
+        Eve missed.
+    at_most : float
+        Upper bound of Eve's miss rate in that ``direction`` which speaks against the claim most; it
+        holds at all looks together (level 1e-6).
+    refuted, bursts : bool
+        Whether that is below the claim; whether Eve's misses come in bursts, in either direction.
+    absent : int
+        Copies 0 that were sent while Eve was not there.
+    unplaced : int
+        Transitions that Eve heard of and could place in no block: Eve missed the beginning of their
+        session, or a stretch of it.
+    newest : tuple of HeldBlock
+        The last blocks.
+    """
+
+    blocks: Annotated[
+        Count, Metric("keys_blocks_attacked", "key blocks that the eavesdropper went for")
+    ]
+    broken: Count
+    bits: Annotated[
+        Count, Metric("keys_bits_held", "bits of their rows that the eavesdropper can compute")
+    ]
+    copies: Annotated[
+        Count, Metric("keys_copies", "first copies that were sent, as far as Eve can tell")
+    ]
+    missed: Annotated[Count, Metric("keys_copies_missed", "first copies that Eve missed")]
+    at_most: float
+    refuted: Annotated[
+        bool,
+        Metric(
+            "keys_claim_refuted",
+            "whether Eve misses less than the operator claims (eps_E)",
+            "gauge",
+        ),
+    ]
+    bursts: Annotated[
+        bool, Metric("keys_misses_in_bursts", "whether Eve's misses come in bursts", "gauge")
+    ]
+    direction: str = ""
+    absent: Count = 0
+    unplaced: Count = 0
+    newest: tuple[HeldBlock, ...] = ()
+
+
+class TailGuess(NamedTuple):
+    """Eve's guess at a transition: the step, the symbol that Eve holds likeliest, its probability,
+    and that a key was agreed on there, by Eve's account."""
+
+    k: int
+    symbol: int
+    probability: FiniteFloat
+    agreed: FiniteFloat
 
 
 class TapStatus(Message):
@@ -20,117 +155,32 @@ class TapStatus(Message):
         The eavesdropper's.
     steps, lost : int
         Transitions that Eve looked at, and those of which the tap lacks a message.
-    mirrored, dropped, malformed : int
-        Messages that the tap has recorded, has heard and lost, and could not read.
+    mirrored : int
+        Messages that the tap has recorded.
     behind : int
         Captured steps that Eve has not looked at.
-    foreign, late : int
-        Messages that the tap heard and could not use: those of other sessions or of steps far
-        ahead, and those that came after their step was given out without them.
-    jumped : int
-        Steps that the tap skipped, as it heard nothing of them.
-    restarts : int
-        Times that the eavesdropper's process was started again.
-    message : str
-        Eve's best message so far; unprintable bytes are shown as ``·``.
-    confidence : float
-        How sure Eve is of it, 0 to 1.
-    candidates_left : int
-        Messages that are still possible to Eve; 0: this kind does not count them.
-    solved_k : int
-        Step at which Eve first was sure of a whole message; -1: not yet.
-    bits_left : float or None
-        Entropy of the message given all that Eve heard, in bits, by Eve's own account. None: this
-        kind does not compute it.
-    given : str
-        Which kind of text Eve takes the message for, as ``German``: that entropy is given it too.
     failed : str
         Why Eve does not guess at present; empty: Eve does. The other fields then keep Eve's last
         words.
-    A, B : tuple of tuple of float
-        The model that Eve has learned or was given; empty: none.
-    key_blocks, key_bits_held : int
-        Key blocks that Eve attacked, and bits of their rows that Eve can compute; -1 bits: Eve
-        attacks no keys. The fields up to ``misses_in_bursts`` are those of one who does.
-    copies, copies_missed : int
-        Copies 0 that were sent while Eve was there, and those of them that Eve missed.
-    copies_absent : int
-        Copies 0 that were sent while Eve was not there.
-    missed_direction, missed_at_most : str, float
-        The direction that speaks most against the operator's claim, and the upper bound of the
-        share of its copies that Eve misses.
-    key_steps_unplaced : int
-        Transitions that Eve could place in no block: nothing is known of their keys.
-    claim_refuted, misses_in_bursts : bool
-        Eve misses less than the operator claims; Eve's misses come in bursts.
-    tail_k, tail_symbol : tuple of int
-        Of the last transitions, oldest first: the step k, and the symbol that Eve holds likeliest.
-    tail_probability, tail_agreed : tuple of float
-        Probability of that symbol, and that a key was agreed on there, by Eve's account. All four
-        tails have one length.
+    keys : KeysHeld or None
+        None: Eve attacks no keys.
+    tail : tuple of TailGuess
+        Of the last transitions, oldest first.
     """
 
     topic: ClassVar[str] = "adversary/tap/status"
-    seq: Count
-    t_ns: Count
+    seq: Count = 0
+    t_ns: Count = 0
     name: str
-    steps: Count
-    lost: Annotated[Count, Metric("tap_lost", "transitions of which the tap lacks a message")]
-    mirrored: Annotated[Count, Metric("tap_mirrored", "messages in the tap's recording")]
-    dropped: Annotated[Count, Metric("tap_dropped", "messages that the tap heard and lost")]
-    behind: Count
-    malformed: Annotated[Count, MALFORMED]
-    foreign: Count = 0
-    late: Count = 0
-    jumped: Count = 0
-    restarts: Count = 0
-    message: str
-    confidence: float
-    candidates_left: Count
-    solved_k: Annotated[int, Field(ge=-1)]
-    bits_left: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    given: str = ""
+    steps: Count = 0
+    lost: Annotated[Count, Metric("tap_lost", "transitions of which the tap lacks a message")] = 0
+    mirrored: Annotated[Count, Metric("tap_mirrored", "messages in the tap's recording")] = 0
+    behind: Count = 0
     failed: str = ""
-    A: tuple[FiniteVector, ...] = ()
-    B: tuple[FiniteVector, ...] = ()
-    key_blocks: Annotated[
-        Count, Metric("keys_blocks_attacked", "key blocks that the eavesdropper went for")
-    ] = 0
-    key_bits_held: Annotated[
-        int, Field(ge=-1), Metric("keys_bits_held", "bits of their rows that Eve can compute")
-    ] = -1
-    copies: Annotated[
-        Count, Metric("keys_copies", "first copies that were sent, as far as Eve can tell")
-    ] = 0
-    copies_missed: Annotated[
-        Count, Metric("keys_copies_missed", "first copies that Eve missed")
-    ] = 0
-    missed_at_most: float = 1.0
-    missed_direction: str = ""
-    copies_absent: Count = 0
-    key_steps_unplaced: Count = 0
-    claim_refuted: Annotated[
-        bool,
-        Metric(
-            "keys_claim_refuted",
-            "whether Eve misses less than the operator claims (eps_E)",
-            now=True,
-        ),
-    ] = False
-    misses_in_bursts: Annotated[
-        bool, Metric("keys_misses_in_bursts", "whether Eve's misses come in bursts", now=True)
-    ] = False
-    tail_k: tuple[int, ...] = ()
-    tail_symbol: tuple[int, ...] = ()
-    tail_probability: FiniteVector = ()
-    tail_agreed: FiniteVector = ()
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        tails = (self.tail_k, self.tail_symbol, self.tail_probability)
-        if any(len(tail) != len(self.tail_agreed) for tail in tails):
-            raise ValueError("expected tails of one length")
-        return self
+    unused: UnusedStatus = UnusedStatus()
+    belief: BeliefStatus = BeliefStatus()
+    keys: KeysHeld | None = None
+    tail: tuple[TailGuess, ...] = ()
 
 
 DEAF: Final = 0.01

@@ -25,24 +25,29 @@ Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """Of a field of a status that Prometheus is told: a count, or what is so ``now``."""
+    """Of a field of a status that Prometheus is told.
+
+    A ``gauge`` is what is so now; a ``histogram`` is a tuple of counts, and ``bounds`` are the
+    upper ends of its bins but the last.
+    """
 
     name: str
     help: str
-    now: bool = False
+    kind: Literal["counter", "gauge", "histogram"] = "counter"
+    bounds: tuple[float, ...] = ()
 
 
-MALFORMED: Final = Metric("malformed", "messages that were no messages")
-KEYS_MADE: Final = Metric("keys_made", "keys of confirmed blocks since this process began")
-BLOCKS_LOST: Final = Metric("keys_blocks_lost", "key blocks that made no key since then")
-DIGITS_LEFT: Final = Metric("keys_digits_left", "unused digits of the key stream", now=True)
-KEYS_STOPPED: Final = Metric("keys_stopped", "whether the newest block made no key", now=True)
+Malformed = Annotated[Count, Metric("malformed", "messages that were no messages")]
 
 
-class Message(BaseModel):
-    """Base of all messages. An instance is frozen; unknown fields are refused."""
+class Part(BaseModel):
+    """Base of messages and of their parts. An instance is frozen; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Message(Part):
+    """Base of what travels as a whole."""
 
     topic: ClassVar[str]
     v: Literal[4] = SCHEMA

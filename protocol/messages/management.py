@@ -2,22 +2,18 @@
 
 import base64
 from collections.abc import Iterable
-from functools import cache
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
 from protocol.messages.base import (
-    BLOCKS_LOST,
-    DIGITS_LEFT,
-    KEYS_MADE,
-    KEYS_STOPPED,
-    MALFORMED,
     Count,
     Fingerprint,
     Identifier,
+    Malformed,
     Message,
     Metric,
+    Part,
     SessionId,
 )
 from protocol.vectors import FiniteVector
@@ -149,7 +145,7 @@ LATENCY_BOUNDS_S: Final = (
     0.5,
     1.0,
 )
-"""Upper bounds of the bins of `PlantStatus.latency_counts`, in seconds."""
+"""Upper bounds of the bins of `TimingStatus.latency_counts`, in seconds."""
 
 
 class PlantModel(Message):
@@ -209,34 +205,95 @@ class PlantModel(Message):
         return self
 
 
-SECRET_FIELDS: Final = frozenset({"last_message", "partial", "sending"})
-SECRET_PREFIXES: Final = ("tail_", "pictured_")
-"""Fields that travel on the management bus only, in no file: texts, the last keys and coins."""
-
-
-class _Status(Message):
-    """What one end of the loop knows. It is published at a bounded rate; the newest wins.
-
-    The ends build theirs by ``model_construct``, which takes a quarter of the time of validation;
-    tests validate what they publish.
+class StepStatus(Part):
+    """How far the link is, as an end counts it.
 
     Attributes
     ----------
-    transitions, agreements : int
-        Transitions of the session; key symbols agreed on.
-    malformed, unexplained : int
-        Messages that could not be read; transitions that no candidate explains.
+    k, x : int, tuple of float
+        The step (at the controller the one answered last; -1: none), and the state x(k), n numbers.
+    transitions, agreements, symbols : int
+        Transitions of the session, key symbols agreed on, and message symbols carried.
     automaton : int
         The scheme's state s.
-    frame_symbols, frame_length : int
-        Symbols so far of the frame under way, and in all.
-    keys_made, key_blocks_lost : int
+    unexplained : int
+        Transitions since this process began that no candidate explains.
+    """
+
+    k: Annotated[
+        int, Field(ge=-1), Metric("steps", "the step that the end is at, missed ones counted")
+    ]
+    x: FiniteVector
+    transitions: Count
+    agreements: Annotated[
+        Count, Metric("agreements", "transitions on which a key symbol was agreed")
+    ]
+    symbols: Count
+    automaton: Count
+    unexplained: Count = 0
+
+
+class PlantStep(StepStatus):
+    """What the plant alone knows of its steps.
+
+    Attributes
+    ----------
+    missed, symbol_errors, outside : int
+        Steps without an offer in time; key symbols agreed on that are not the coin; transitions
+        whose disturbance left D_c.
+    """
+
+    missed: Annotated[Count, Metric("missed_steps", "steps without an offer in time")]
+    symbol_errors: Annotated[
+        Count, Metric("symbol_errors", "agreements on a symbol that was not applied")
+    ]
+    outside: Count = 0
+
+
+class FrameStatus(Part):
+    """The frame under way: its symbols so far, and in all.
+
+    When all is sent the controller shows the last one, whose symbols are then all there.
+    """
+
+    symbols: Count
+    length: Count
+
+
+class IncomingFrame(FrameStatus):
+    """The plant's frames: whole messages, the step of the last one (-1: none by this process),
+    and frames that failed their check."""
+
+    messages: Annotated[Count, Metric("messages_recovered", "whole messages that the plant has")]
+    message_k: Annotated[int, Field(ge=-1)] = -1
+    refused: Annotated[Count, Metric("frames_refused", "frames that failed their check")]
+
+
+class OutgoingFrame(FrameStatus):
+    """The controller's: messages of which every symbol was counted, and those that wait behind
+    the one on its way."""
+
+    delivered: Annotated[
+        Count, Metric("messages_delivered", "messages of which every symbol was counted")
+    ]
+    queue: Count
+
+
+class KeyStatus(Part):
+    """What an end has of distilled keys.
+
+    Attributes
+    ----------
+    made, lost : int
         Keys of confirmed blocks, and blocks that made none, since this process began.
-    keys_of_block, key_block_steps : int
+    begun : int
+        Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
+        whatever became of it.
+    of_block, block_steps : int
         Keys and steps of the last confirmed block.
-    keys_refused : str
+    refused : str
         Why no key is made any more; empty while some are.
-    keys_stopped : str
+    stopped : str
         Why the session's newest block made no key; empty once a later one has made some.
     digits_left : int
         Digits of the key stream that this end holds.
@@ -244,209 +301,238 @@ class _Status(Message):
         How often a message leaves this end on the field bus.
     """
 
-    seq: Count
-    t_ns: Count
-    phase: str
-    detail: str = ""
-    transitions: Count
-    malformed: Annotated[Count, MALFORMED]
-    agreements: Annotated[
-        Count, Metric("agreements", "transitions on which a key symbol was agreed")
-    ]
-    automaton: Count
-    frame_symbols: Count
-    frame_length: Count
-    unexplained: Count = 0
-    keys_made: Annotated[Count, KEYS_MADE] = 0
-    keys_of_block: Count = 0
-    key_block_steps: Count = 0
-    keys_refused: str = ""
-    keys_stopped: Annotated[str, KEYS_STOPPED] = ""
-    key_blocks_lost: Annotated[Count, BLOCKS_LOST] = 0
-    digits_left: Annotated[Count, DIGITS_LEFT] = 0
+    made: Annotated[
+        Count, Metric("keys_made", "keys of confirmed blocks since this process began")
+    ] = 0
+    lost: Annotated[Count, Metric("keys_blocks_lost", "key blocks that made no key since then")] = 0
+    begun: Count = 0
+    of_block: Count = 0
+    block_steps: Count = 0
+    refused: str = ""
+    stopped: Annotated[
+        str, Metric("keys_stopped", "whether the newest block made no key", "gauge")
+    ] = ""
+    digits_left: Annotated[
+        Count, Metric("keys_digits_left", "unused digits of the key stream", "gauge")
+    ] = 0
     appearances: Count = 1
 
-    def on_file(self) -> bytes:
-        """The status as a file may keep it, without `SECRET_FIELDS` and `SECRET_PREFIXES`."""
-        return self.__pydantic_serializer__.to_json(self, exclude=_withheld(type(self)))
 
-
-@cache
-def _withheld(kind: type[_Status]) -> set[str]:
-    return {
-        name
-        for name in kind.model_fields
-        if name in SECRET_FIELDS or name.startswith(SECRET_PREFIXES)
-    }
-
-
-class PlantStatus(_Status):
-    """What the plant knows, for the dashboard.
+class TimingStatus(Part):
+    """How punctual the plant is.
 
     Attributes
     ----------
-    k, x : int, tuple of float
-        The step, and the state x(k), n numbers.
-    symbol_errors : int
-        Key symbols agreed on that are not the coin.
-    missed, late : int
-        Steps without an offer in time; offers after their step.
-    outside : int
-        Transitions whose disturbance left D_c.
+    late : int
+        Offers that came after their step.
     rate_hz : float
         Transitions a second, over the last few seconds.
-    last_message, message_k : str, int
-        The last whole message, and the step at which it was whole (-1: none by this process).
-    partial : str
-        The text so far of the frame under way.
     latency_counts : tuple of int
         Offers by the seconds from a step's first measurement to its offer: a bin for each bound of
         `LATENCY_BOUNDS_S`, not cumulative, and one above them.
     sampled_late_s, actuated_after_s : tuple of float
         Median, 99th percentile and largest of the last steps, in seconds; empty in lock-step.
-    key_blocks_begun : int
-        Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
-        whatever became of it.
-    pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
-        One transition, to be drawn in the plane as in the paper's Fig. 4; ``pictured_k`` is -1
-        where there is none.
-    pictured_inside : int
-        Candidates that explain it within D_c.
-    tail_k, tail_x, tail_role, tail_symbol, tail_coin, tail_automaton : tuple
-        The last transitions, oldest first: those since the last status but one, 8 to 64; 64 after a
-        `PlantModel`. The role is ``message`` where the transition carried a message symbol, else
-        ``test``. The symbol is -1 where none was agreed on. The coin is the applied candidate b_r.
-        The automaton's state is that after the transition.
-    attack, true_x, tail_true_x : str, tuple of float, tuple
-        Of an attacked plant: what attacks it, and its true states at x(k) and after each transition
-        of the tail. They say so to whoever watches; no end acts on it.
+    overruns : int
+        Ticks that went by unnoticed.
     """
 
-    topic: ClassVar[str] = "management/plant/status"
-    phase: Literal["greeting", "running", "stopped", "refused"]
-    session: SessionId
-    sessions: Count
-    k: Annotated[Count, Metric("steps", "steps that the plant made, missed ones too")]
-    x: FiniteVector
-    missed: Annotated[Count, Metric("missed_steps", "steps without an offer in time")]
     late: Annotated[Count, Metric("late_offers", "offers that came after their step")]
-    symbol_errors: Annotated[
-        Count, Metric("symbol_errors", "agreements on a symbol that was not applied")
-    ]
     rate_hz: float
-    recovered_symbols: Count
-    messages: Annotated[Count, Metric("messages_recovered", "whole messages that the plant has")]
-    last_message: str = ""
-    message_k: Annotated[int, Field(ge=-1)] = -1
-    latency_counts: tuple[Count, ...] = ()
-    partial: str = ""
-    frames_refused: Annotated[Count, Metric("frames_refused", "frames that failed their check")]
-    outside: Count = 0
+    latency_counts: Annotated[
+        tuple[Count, ...],
+        Field(min_length=len(LATENCY_BOUNDS_S) + 1, max_length=len(LATENCY_BOUNDS_S) + 1),
+        Metric(
+            "offer_latency_seconds",
+            "from a step's first measurement to its offer",
+            "histogram",
+            LATENCY_BOUNDS_S,
+        ),
+    ]
     sampled_late_s: FiniteVector = ()
     actuated_after_s: FiniteVector = ()
     overruns: Count = 0
-    key_blocks_begun: Count = 0
-    pictured_k: Annotated[int, Field(ge=-1)] = -1
-    pictured_x: FiniteVector = ()
-    pictured_candidates: tuple[FiniteVector, ...] = ()
-    pictured_x_next: FiniteVector = ()
-    pictured_gauges: FiniteVector = ()
-    pictured_symbol: Annotated[int, Field(ge=-1)] = -1
-    pictured_inside: Count = 0
-    tail_k: tuple[int, ...] = ()
-    tail_x: tuple[FiniteVector, ...] = ()
-    tail_role: tuple[Literal["test", "message"], ...] = ()
-    tail_symbol: tuple[int, ...] = ()
-    tail_coin: tuple[int, ...] = ()
-    tail_automaton: tuple[int, ...] = ()
-    attack: str = ""
-    true_x: FiniteVector = ()
-    tail_true_x: tuple[FiniteVector, ...] = ()
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        n = len(self.x)
-        tails = (self.tail_k, self.tail_x, self.tail_role, self.tail_symbol, self.tail_coin)
-        states = (*self.tail_x, *self.tail_true_x)
-        if self.true_x:
-            states = (*states, self.true_x)
-        if self.pictured_k >= 0:
-            states = (*states, self.pictured_x, self.pictured_x_next)
-        if (
-            any(len(tail) != len(self.tail_automaton) for tail in tails)
-            or len(self.tail_true_x) not in (0, len(self.tail_k))
-            or any(len(row) != n for row in states)
-            or not _alike(self.pictured_candidates)
-            or len(self.pictured_gauges) != len(self.pictured_candidates)
-            or len(self.latency_counts) not in (0, len(LATENCY_BOUNDS_S) + 1)
-        ):
-            raise ValueError("expected vectors that fit together")
-        return self
 
 
-class ControllerStatus(_Status):
-    """What the controller knows, for the dashboard.
-
-    ``session`` and ``k`` are those of `PlantStatus`.
+class AlarmStatus(Part):
+    """The controller's watch over the plant.
 
     Attributes
     ----------
-    set_index : int
-        i(k), the smallest i with x(k) in T_i; -1: in none.
-    sending : str
-        The text on its way. When all is sent it keeps the last one, and ``frame_symbols`` equals
-        ``frame_length``.
-    queue, delivered : int
-        Messages that wait behind it, and those of which every symbol was counted.
-    unexplained, watched, unwatched : int
-        Transitions since this process began that no candidate explains; those that were tested
-        against the one candidate that a digit of the key stream chose; and, where the coin is
-        keyed, those that could not be.
-    alarms, alarm_k : int
+    watched, unwatched : int
+        Transitions since this process began that were tested against the one candidate that a digit
+        of the key stream chose; and, where the coin is keyed, those that could not be.
+    count, k : int
         Alarms since this process began, and the step of the last one (-1: none).
-    alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
+    reading, expected, gauge : tuple of float, tuple of float, float
         What was read after that step, what was expected, and how far apart they are, in D_c.
         Nothing is expected where too many steps had no digit of the key stream.
     """
 
-    topic: ClassVar[str] = "management/controller/status"
-    phase: Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
-    session: SessionId | None
-    k: Annotated[int, Field(ge=-1)]
-    set_index: Annotated[int, Field(ge=-1)]
-    sending: str = ""
-    queue: Count
-    delivered: Annotated[
-        Count, Metric("messages_delivered", "messages of which every symbol was counted")
-    ]
     watched: Annotated[
         Count, Metric("watched_steps", "transitions tested by a key's candidate")
     ] = 0
     unwatched: Annotated[
         Count, Metric("unwatched_steps", "transitions that no key watched, of a keyed coin")
     ] = 0
-    alarms: Annotated[
-        Count, Metric("alarms", "transitions whose test failed and made an alarm")
-    ] = 0
-    alarm_k: Annotated[int, Field(ge=-1)] = -1
-    alarm_reading: FiniteVector = ()
-    alarm_expected: FiniteVector = ()
-    alarm_gauge: float = 0.0
+    count: Annotated[Count, Metric("alarms", "transitions whose test failed and made an alarm")] = 0
+    k: Annotated[int, Field(ge=-1)] = -1
+    reading: FiniteVector = ()
+    expected: FiniteVector = ()
+    gauge: float = 0.0
 
-    def alarm_sentence(self) -> str:
+    def sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
-        if not self.alarms:
+        if not self.count:
             return ""
-        read, expected = (
-            ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
-        )
-        told = f"ALARMS: {self.alarms}, the last at step {self.alarm_k}"
-        if not self.alarm_expected:
+        told = f"ALARMS: {self.count}, the last at step {self.k}"
+        if not self.expected:
             return f"{told}: too many steps had no digit of the key stream"
+        read, expected = (", ".join(f"{v:.4g}" for v in x) for x in (self.reading, self.expected))
         return f"{told}: read ({read}), expected ({expected})"
 
 
-Status = PlantStatus | ControllerStatus
+class PicturedStep(Part):
+    """One transition, to be drawn as in the paper's Fig. 4.
+
+    Attributes
+    ----------
+    k, gauges, symbol : int, tuple of float, int
+        Its step, the gauge of each candidate, and the key symbol agreed on (-1: none).
+    inside : int
+        Candidates that explain it within D_c.
+    """
+
+    k: Count
+    gauges: FiniteVector
+    symbol: Annotated[int, Field(ge=-1)]
+    inside: Count
+
+
+class TailStep(NamedTuple):
+    """A transition that the plant has counted.
+
+    Parameters
+    ----------
+    k, x : int, tuple of float
+    role : {"test", "message"}
+        Whether it carried a message symbol.
+    symbol : int
+        The key symbol agreed on; -1: none.
+    coin : int
+        The applied candidate b_r.
+    true_x_next : tuple of float
+        Of an attacked plant: the true state after it.
+    """
+
+    k: int
+    x: FiniteVector
+    role: Literal["test", "message"]
+    symbol: int
+    coin: int
+    true_x_next: FiniteVector = ()
+
+
+class EndSecrets(Part):
+    """What travels on the management bus only, in no file: the message under way."""
+
+    message: str = ""
+
+
+class PlantSecrets(EndSecrets):
+    """The plant's: texts, the last keys and coins.
+
+    Attributes
+    ----------
+    last_message : str
+        The last whole message.
+    pictured : PicturedStep or None
+    tail : tuple of TailStep
+        The last transitions, oldest first: those since the last status but one, 8 to 64; 64 after a
+        `PlantModel`.
+    """
+
+    last_message: str = ""
+    pictured: PicturedStep | None = None
+    tail: tuple[TailStep, ...] = ()
+
+
+class Status(Message):
+    """What one end of the loop knows. It is published at a bounded rate; the newest wins.
+
+    The ends build theirs by ``model_construct``, which takes a quarter of the time of validation;
+    tests validate what they publish.
+
+    Attributes
+    ----------
+    seq, t_ns : int
+        Number of the status, and when it was made, in nanoseconds.
+    phase, detail : str
+        What the end is doing, and why it does no more.
+    malformed : int
+        Messages that could not be read.
+    """
+
+    seq: Count
+    t_ns: Count
+    phase: str
+    detail: str = ""
+    malformed: Malformed
+    session: SessionId | None
+    step: StepStatus
+    frame: FrameStatus
+    keys: KeyStatus = KeyStatus()
+    secrets: EndSecrets = EndSecrets()
+
+    def on_file(self) -> bytes:
+        """The status as a file may keep it, without the secrets."""
+        return self.__pydantic_serializer__.to_json(self, exclude={"secrets"})
+
+
+class PlantStatus(Status):
+    """What the plant knows, for the dashboard.
+
+    Attributes
+    ----------
+    sessions : int
+        Sessions begun, this one included.
+    attack : str
+        What attacks the plant. It says so to whoever watches; no end acts on it.
+    """
+
+    topic: ClassVar[str] = "management/plant/status"
+    phase: Literal["greeting", "running", "stopped", "refused"]
+    session: SessionId
+    sessions: Count
+    step: PlantStep
+    frame: IncomingFrame
+    timing: TimingStatus
+    attack: str = ""
+    secrets: PlantSecrets = PlantSecrets()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        n = len(self.step.x)
+        for row in self.secrets.tail:
+            if len(row.x) != n or len(row.true_x_next) not in (0, n):
+                raise ValueError(f"expected states of {n} numbers")
+        return self
+
+
+class ControllerStatus(Status):
+    """What the controller knows, for the dashboard.
+
+    Attributes
+    ----------
+    set_index : int
+        i(k), the smallest i with x(k) in T_i; -1: in none.
+    """
+
+    topic: ClassVar[str] = "management/controller/status"
+    phase: Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
+    set_index: Annotated[int, Field(ge=-1)]
+    frame: OutgoingFrame
+    alarms: AlarmStatus = AlarmStatus()
+
 
 MANAGEMENT: tuple[type[Message], ...] = (
     PlantHello,

@@ -12,12 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from pydantic import BaseModel, ConfigDict
-
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.errors import WynerError
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
+from protocol.messages.adversary import KeysHeld
 from protocol.plugins import UnknownError
 from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
@@ -72,64 +71,6 @@ class Guess:
     def best(self) -> int:
         """The likeliest symbol, the smallest index among equals."""
         return self.symbol.index(max(self.symbol))
-
-
-class HeldBlock(BaseModel):
-    """A key block as one who attacks keys sees it: ``bits`` are what she can compute of its rows.
-
-    ``counted`` copies made ``rows``, of which the first is no key; ``missed`` she did not hear.
-    """
-
-    model_config = ConfigDict(frozen=True)
-
-    session: str
-    number: int
-    counted: int
-    rows: int
-    missed: int
-    bits: int
-
-
-class KeysHeld(BaseModel):
-    """What one who attacks keys holds of them.
-
-    Parameters
-    ----------
-    blocks, broken : int
-        Blocks that made keys, and those that she can compute a bit of.
-    bits : int
-        Bits of their rows that she can compute, by rank.
-    copies, missed : int
-        Copies 0 that were sent while she was there, as far as she can tell, and those of them that
-        she missed.
-    at_most : float
-        Upper bound of her miss rate in that ``direction`` which speaks against the claim most; it
-        holds at all looks together (level 1e-6).
-    refuted, bursts : bool
-        Whether that is below the claim; whether her misses come in bursts, in either direction.
-    absent : int
-        Copies 0 that were sent while she was not there.
-    unplaced : int
-        Transitions that she heard of and could place in no block: she missed the beginning of their
-        session, or a stretch of it.
-    newest : tuple of HeldBlock
-        The last blocks.
-    """
-
-    model_config = ConfigDict(frozen=True)
-
-    blocks: int
-    broken: int
-    bits: int
-    copies: int
-    missed: int
-    at_most: float
-    refuted: bool
-    bursts: bool
-    direction: str = ""
-    absent: int = 0
-    unplaced: int = 0
-    newest: tuple[HeldBlock, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from typing import ClassVar, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, Offer
+from protocol.messages.adversary import HeldBlock, KeysHeld
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer
 from protocol.secret.blocks import schedule_of
@@ -28,8 +29,6 @@ from tap_service.eavesdroppers.base import (
     Belief,
     Eavesdropper,
     Guess,
-    HeldBlock,
-    KeysHeld,
     KnowledgeError,
     MessageSymbols,
     even,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.system.test_integration import children_of, status
+from tests.system.test_integration import children_of, counted, status
 from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
@@ -32,11 +32,11 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
         stderr=subprocess.DEVNULL,
     )
     try:
-        wait_for(lambda: status(run, "plant").get("transitions", 0) > 20)
-        missed = status(run, "plant")["missed"]
+        wait_for(lambda: counted(run, "plant") > 20)
+        missed = status(run, "plant")["step"]["missed"]
         os.kill(children_of(up.pid)["attacker"], signal.SIGKILL)
-        wait_for(lambda: status(run, "plant")["missed"] > missed)
-        wait_for(lambda: status(run, "plant")["messages"] == 1)
+        wait_for(lambda: status(run, "plant")["step"]["missed"] > missed)
+        wait_for(lambda: status(run, "plant")["frame"]["messages"] == 1)
         up.send_signal(signal.SIGINT)
         assert up.wait(PATIENCE_S) == 130
     finally:

@@ -27,9 +27,11 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(run_dir: Path, tmp_path: Path, file: Path, **fields: object) -> Path:
-    """A copy of both statuses, one with other fields."""
+    """A copy of both statuses, one with other fields; a dict has those of a part."""
     for path in (PLANT_STATUS, CONTROLLER_STATUS):
-        told = json.loads((run_dir / path).read_bytes()) | (fields if path == file else {})
+        told = json.loads((run_dir / path).read_bytes())
+        for name, value in fields.items() if path == file else ():
+            told[name] = told[name] | value if isinstance(value, dict) else value
         (tmp_path / path).parent.mkdir(exist_ok=True)
         (tmp_path / path).write_text(json.dumps(told))
     return tmp_path
@@ -42,24 +44,36 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
     assert "warning" not in out
     assert main(["status", str(run_dir), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["plant"]["k"] == 60
+    assert told["plant"]["step"]["k"] == 60
     assert told["warnings"] == []
 
 
 @pytest.mark.parametrize(
     ("file", "fields", "warning"),
     [
-        (PLANT_STATUS, {"outside": 3}, "d was outside D_c in 3 steps"),
-        (PLANT_STATUS, {"symbol_errors": 1}, "1 agreed keys are not the input that was applied"),
+        (PLANT_STATUS, {"step": {"outside": 3}}, "d was outside D_c in 3 steps"),
+        (
+            PLANT_STATUS,
+            {"step": {"symbol_errors": 1}},
+            "1 agreed keys are not the input that was applied",
+        ),
         (
             PLANT_STATUS,
             {"detail": "D_c is left more often than its calibration promised"},
             "D_c is left more often than its calibration promised",
         ),
-        (PLANT_STATUS, {"keys_refused": "eps_E = 0"}, "keys: eps_E = 0"),
-        (PLANT_STATUS, {"keys_stopped": "refuted"}, "keys stopped: refuted"),
-        (CONTROLLER_STATUS, {"keys_stopped": "refuted"}, "keys stopped at the controller: refuted"),
-        (CONTROLLER_STATUS, {"unexplained": 2}, "2 transitions that no candidate explains"),
+        (PLANT_STATUS, {"keys": {"refused": "eps_E = 0"}}, "keys: eps_E = 0"),
+        (PLANT_STATUS, {"keys": {"stopped": "refuted"}}, "keys stopped: refuted"),
+        (
+            CONTROLLER_STATUS,
+            {"keys": {"stopped": "refuted"}},
+            "keys stopped at the controller: refuted",
+        ),
+        (
+            CONTROLLER_STATUS,
+            {"step": {"unexplained": 2}},
+            "2 transitions that no candidate explains",
+        ),
         (
             PLANT_STATUS,
             {"phase": "running", "t_ns": 1},

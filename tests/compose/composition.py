@@ -241,10 +241,10 @@ def all_healthy(system: Composition, services: Sequence[str]) -> None:
 def advancing(system: Composition, plant: str = "plant") -> None:
     """Wait until the plant counts transitions: sooner known than the engine's word on health."""
     first = wait_for(
-        lambda: system.status(plant, "plant")["transitions"] + 1,
+        lambda: system.status(plant, "plant")["step"]["transitions"] + 1,
         "a status",
     )
-    wait_for(lambda: system.status(plant, "plant")["transitions"] > first, "transitions")
+    wait_for(lambda: system.status(plant, "plant")["step"]["transitions"] > first, "transitions")
 
 
 def under_way(
@@ -256,20 +256,20 @@ def under_way(
     """
 
     def idle() -> bool:
-        told = system.status(service, vantage)
-        return not told["queue"] and told["frame_symbols"] == told["frame_length"]
+        frame = system.status(service, vantage)["frame"]
+        return not frame["queue"] and frame["symbols"] == frame["length"]
 
     wait_for(idle, "all that was sent before, delivered")
     system.send(text)
     begun: dict[str, Any] = wait_for(
         lambda: (
             SYMBOLS_BEFORE
-            <= (s := system.status(service, vantage))["frame_symbols"]
-            < s["frame_length"]
+            <= (s := system.status(service, vantage))["frame"]["symbols"]
+            < s["frame"]["length"]
             and s
         ),
         f"{text!r} under way",
         every_s=0.2,
     )
-    assert begun["queue"] == 0
+    assert begun["frame"]["queue"] == 0
     return begun

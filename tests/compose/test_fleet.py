@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -17,21 +18,19 @@ def fleet(image: str) -> Iterator[Composition]:
     yield from running("wyner-test-fleet", "fleet", **values)
 
 
-def statuses(system: Composition, vantage: str) -> dict[str, dict[str, object]]:
+def statuses(system: Composition, vantage: str) -> dict[str, dict[str, Any]]:
     """The newest status of each loop, from one side."""
     program = "import json, pathlib\n" + (
         "print(json.dumps({p.parts[-3]: json.loads(p.read_bytes()) for p in "
         f"pathlib.Path('{RUN}').glob('loop-*/{vantage}/status.json')}}))"
     )
-    found: dict[str, dict[str, object]] = json.loads(
-        system.python(f"fleet-{vantage}", program).stdout
-    )
+    found: dict[str, dict[str, Any]] = json.loads(system.python(f"fleet-{vantage}", program).stdout)
     return found
 
 
 def messages(system: Composition) -> dict[str, object]:
     """How many messages each plant has recovered."""
-    return {loop: status["messages"] for loop, status in statuses(system, "plant").items()}
+    return {loop: status["frame"]["messages"] for loop, status in statuses(system, "plant").items()}
 
 
 def test_every_message_arrives_on_its_own_loop(fleet: Composition) -> None:

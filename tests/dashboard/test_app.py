@@ -23,6 +23,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.screens import to_text
 from tests.support.scripted import ScriptedSource
+from tests.support.statuses import changed
 from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen
 from wyner.dashboard.headless import Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.model import Arrival, State, reduce_all
@@ -72,8 +73,8 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert "step 100 " in text_of(watch)
     watch.press(" ", 0)
     plant = plant_of(watch.state)
-    fresh = {"session": "f" * 16, "k": 3, "seq": 0, "t_ns": plant.t_ns + 1}
-    watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
+    fresh = changed(plant, session="f" * 16, step={"k": 3}, seq=0, t_ns=plant.t_ns + 1)
+    watch.take(ScriptedSource([[Arrival(1, fresh)]]))
     assert "FROZEN, new session" in text_of(watch), "no steps are counted backwards"
 
 
@@ -386,14 +387,14 @@ def with_plant(state: State, **changes: object) -> State:
     """The state after one more plant status; the step stands still unless it is changed."""
     plant = plant_of(state)
     later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
-    arrival = Arrival(state.plant_seen_ns + 1, plant.model_copy(update=later))
+    arrival = Arrival(state.seen["plant"] + 1, changed(plant, **later))
     return reduce_all(state, [arrival])
 
 
 def with_controller(state: State, **changes: object) -> State:
     assert state.controller is not None
     later = {"seq": state.controller.seq + 1, "t_ns": state.controller.t_ns + 1, **changes}
-    arrival = Arrival(state.plant_seen_ns, state.controller.model_copy(update=later))
+    arrival = Arrival(state.seen["plant"], changed(state.controller, **later))
     return reduce_all(state, [arrival])
 
 
@@ -401,12 +402,12 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
     state = after(20)
     reporter = Reporter()
     reporter.report(state, 0)
-    trouble = with_plant(
-        state, phase="refused", detail="another model", messages=1, last_message="Hello"
-    )
+    frame, secrets = {"messages": 1}, {"last_message": "Hello"}
+    refused = {"phase": "refused", "detail": "another model"}
+    trouble = with_plant(state, **refused, frame=frame, secrets=secrets)
     said = []
     for n in range(70):
-        wrong = with_plant(trouble, symbol_errors=n, attack="ghost at the sensor")
+        wrong = with_plant(trouble, step={"symbol_errors": n}, attack="ghost at the sensor")
         said += reporter.report(wrong, n * 100_000_000)
     assert said == [
         "plant refused: another model",
@@ -421,12 +422,12 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
 
 def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
     whole = after(2000)
-    text = "A second message."
+    text, under_way = "A second message.", {"symbols": 40, "length": 200}
     state = State()
     for message in (
         whole.model,
-        plant_of(with_plant(whole, partial="A sec")),
-        with_controller(whole, sending=text, frame_symbols=40, frame_length=200).controller,
+        plant_of(with_plant(whole, secrets={"message": "A sec"})),
+        with_controller(whole, secrets={"message": text}, frame=under_way).controller,
         whole.taps["list-decoder"].status,
     ):
         assert message is not None
@@ -446,11 +447,17 @@ def test_lines_show_all_that_is_printable_and_nothing_else(
 ) -> None:
     message = "第二の手紙 second ✓ e\u0301"
     state = after(20)
-    state = with_controller(state, sending=message)
-    state = with_plant(state, law="\x1b[2J", messages=1, last_message=message)
+    state = with_controller(state, secrets={"message": message})
+    state = with_plant(state, frame={"messages": 1}, secrets={"last_message": message})
     tap = state.taps["list-decoder"].status
-    named = {"name": "\x1b[31mtap", "message": message, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
-    state = reduce_all(state, [Arrival(1, tap.model_copy(update=named))])
+    named = changed(
+        tap,
+        name="\x1b[31mtap",
+        belief={"message": message},
+        seq=tap.seq + 1,
+        t_ns=tap.t_ns + 1,
+    )
+    state = reduce_all(state, [Arrival(1, named)])
     lines = [*Reporter().report(state, 0), secrecy_line(state)]
     assert f'message 1 recovered: "{message}"' in lines
     assert f'tap ·[31mtap has the message: "{message}"' in lines

@@ -5,17 +5,19 @@ from functools import cache
 import pytest
 
 from protocol.agreement import AgreementRule, Gauge
-from protocol.messages import PlantModel, PlantStatus
-from tests.dashboard.states import plant_of, state_after
+from protocol.messages import PlantModel
+from protocol.messages.management import PicturedStep
+from tests.dashboard.states import state_after
 from wyner.dashboard.picture import agreement, spread, verdict
 from wyner.dashboard.text import BEYOND, DOT
 
 
 @cache
-def seen() -> tuple[PlantModel, PlantStatus]:
+def seen() -> tuple[PlantModel, PicturedStep]:
     state = state_after(600)
     assert state.model is not None
-    return state.model, plant_of(state)
+    assert state.pictured is not None
+    return state.model, state.pictured
 
 
 @pytest.mark.parametrize(
@@ -35,22 +37,22 @@ def test_the_verdict_says_why(gauges: tuple[float, ...], words: str) -> None:
     rule = AgreementRule(((1.0,),), ((1.0,),), Gauge(half_widths=(1.0,)), alpha=8.0)
     said = rule.verdict((0.0,), tuple((g,) for g in gauges), (0.0,))
     assert said.gauges == gauges
-    update = {"pictured_symbol": said.symbol, "pictured_inside": said.inside}
+    update = {"symbol": said.symbol, "inside": said.inside}
     assert words in verdict(seen()[1].model_copy(update=update))
 
 
 def test_a_mark_is_in_the_half_of_its_bar_that_the_gauge_says() -> None:
-    model, status = seen()
+    model, step = seen()
     gauges = (0.0, 0.9, 1.0 + 5e-10, 1.2, 7.9, 9.0)
-    status = status.model_copy(update={"pictured_gauges": gauges})
-    rows = [row.plain for row in agreement(model, status, 60, 20)]
+    step = step.model_copy(update={"gauges": gauges})
+    rows = [row.plain for row in agreement(model, step, 60, 20)]
     places = [max(row.find(DOT), row.find(BEYOND)) for row in rows[1:7]]
     edge = rows[7].index("D_c")
     assert places == sorted(places)
     assert [at < edge for at in places] == [True] * 3 + [False] * 3
     words = ["in D_c"] * 3 + ["outside"] * 2 + ["beyond"]
     assert all(word in row for row, word in zip(rows[1:7], words, strict=True))
-    fewer = [row.plain for row in agreement(model, status, 60, 5)]
+    fewer = [row.plain for row in agreement(model, step, 60, 5)]
     assert [row[:3] for row in fewer[1:3]] == [" 0 ", " 1 "]
     assert "and 4 more" in fewer[3]
 

@@ -17,10 +17,13 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
+from protocol.messages.adversary import KeysHeld
+from protocol.vectors import Vector
 from tests.dashboard.states import plant_of, state_after
 from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.screens import to_text
 from tests.support.size import size
+from tests.support.statuses import changed
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.model import Arrival, State, reduce
 from wyner.dashboard.score import contradictions
@@ -52,7 +55,14 @@ FOUR_STATES = Rehearsal(
 
 
 def with_plant(state: State, **changes: object) -> State:
-    return replace(state, plant=plant_of(state).model_copy(update=changes))
+    return replace(state, plant=changed(plant_of(state), **changes))
+
+
+def with_truth(state: State, x: Vector) -> State:
+    """An attacked plant is there after its last step."""
+    k = max(state.truths)
+    row = state.truths[k]._replace(true_x_next=x)
+    return replace(state, truths={**state.truths, k: row})
 
 
 def with_model(state: State, **changes: object) -> State:
@@ -62,12 +72,12 @@ def with_model(state: State, **changes: object) -> State:
 
 def with_controller(state: State, **changes: object) -> State:
     assert state.controller is not None
-    return replace(state, controller=state.controller.model_copy(update=changes))
+    return replace(state, controller=changed(state.controller, **changes))
 
 
 def with_tap(state: State, which: str, **changes: object) -> State:
     tap = state.taps[which]
-    later = replace(tap, status=tap.status.model_copy(update=changes))
+    later = replace(tap, status=changed(tap.status, **changes))
     return replace(state, taps={**state.taps, which: later})
 
 
@@ -87,7 +97,7 @@ def lines_of(
 
 
 def shown(state: State, width: int, height: int, view: ViewState = PLAIN) -> str:
-    return to_text(screen(state, width, height, view, state.plant_seen_ns), (width, height))
+    return to_text(screen(state, width, height, view, state.seen["plant"]), (width, height))
 
 
 # --- golden screens ----------------------------------------------------------------------------
@@ -180,7 +190,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
     state = state_after(700)
     line = next(
         line
-        for line in lines_of(state, 80, 24, PLAIN, state.plant_seen_ns)
+        for line in lines_of(state, 80, 24, PLAIN, state.seen["plant"])
         if "PAPER'S RULE EXCEEDS TRUE" in line.plain
     )
     assert any("red" in str(span.style) for span in line.spans)
@@ -192,7 +202,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
 
 def test_a_silent_service_is_named() -> None:
     state = state_after(700)
-    late = state.plant_seen_ns + SILENT_AFTER_NS + 1
+    late = state.seen["plant"] + SILENT_AFTER_NS + 1
     header = lines_of(state, 120, 24, PLAIN, late)[0].plain
     assert "plant silent" in header
     assert "controller silent" in header
@@ -204,7 +214,7 @@ REASON = "x lies outside of every control set, by 12.5 in its first component; t
 
 
 def test_trouble_stands_in_the_first_line_before_what_tells_less() -> None:
-    state = with_plant(state_after(700), phase="refused", frames_refused=2, attack="ghost")
+    state = with_plant(state_after(700), phase="refused", frame={"refused": 2}, attack="ghost")
     state = with_controller(state, phase="outside", detail=REASON)
     told = ["rehearsal", "refused", "2 frames refused", "ATTACK: ghost", "controller outside"]
     places = [shown(state, 200, 24).splitlines()[0].find(text) for text in (*told, REASON, "x10")]
@@ -217,7 +227,7 @@ def test_trouble_stands_in_the_first_line_before_what_tells_less() -> None:
 @pytest.mark.parametrize("missed", [1, 999, 1234, 99_999, 10**8])
 def test_missed_steps_are_told_whatever_their_number(missed: int) -> None:
     """Once: beside them stood those whose input came after all, as if they were others."""
-    state = with_plant(state_after(700), missed=missed, late=missed)
+    state = with_plant(state_after(700), step={"missed": missed}, timing={"late": missed})
     for terminal in ((80, 24), (60, 24), (120, 40)):
         text = shown(state, *terminal)
         assert re.search(rf" steps/s.*  missed {re.escape(count(missed))}\b", text)
@@ -235,13 +245,13 @@ def test_where_the_state_is_among_the_sets_is_told_in_words() -> None:
 
 def test_a_state_under_attack_is_told_as_reported_beside_the_true_one() -> None:
     """The screen said "inside the target set" of a plant that was 29 away."""
-    state = replace(state_after(700), true_states={700: (-28.892, 1.0)})
+    state = with_truth(state_after(700), (-28.892, 1.0))
     for terminal in ((80, 24), (120, 40)):
         text = shown(state, *terminal)
         assert re.search(r"reported in\w* .*target set; plant 29\.1 away", text)
         assert "reported   +0.186, true  -28.892" in text
     assert "the plant is 29.078 from the x reported" in progress(state)
-    honest = replace(state, true_states={700: state.states[700]})
+    honest = with_truth(state, plant_of(state).step.x)
     assert "state: inside the target set" in shown(honest, 80, 24), "an attack has not begun"
 
 
@@ -265,10 +275,7 @@ def test_guesses_that_lag_are_shown_at_the_steps_that_they_are_of() -> None:
 def test_an_alarm_is_a_red_line() -> None:
     state = with_controller(
         state_after(700),
-        alarms=3,
-        alarm_k=650,
-        alarm_reading=(1.0, 2.0),
-        alarm_expected=(0.5, 2.0),
+        alarms={"count": 3, "k": 650, "reading": (1.0, 2.0), "expected": (0.5, 2.0)},
     )
     spans = [(line, span) for line in lines_of(state, 120, 40) for span in line.spans]
     red = [line.plain[s.start : s.end].strip() for line, s in spans if "red" in str(s.style)]
@@ -282,7 +289,7 @@ def test_an_alarm_is_a_red_line() -> None:
     [(True, True, "650 exact"), (True, False, "650 WRONG"), (False, False, "650")],
 )
 def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool, told: str) -> None:
-    state = with_tap(state_after(700), "list-decoder", solved_k=650)
+    state = with_tap(state_after(700), "list-decoder", belief={"solved_k": 650})
     tap = replace(state.taps["list-decoder"], watched=watched, exact=exact)
     text = shown(replace(state, taps={"list-decoder": tap}), 80, 24)
     assert next(line for line in text.splitlines() if " 100 [" in line).endswith(f" {told}")
@@ -290,8 +297,8 @@ def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool,
 
 def test_of_a_tap_that_is_far_behind_it_is_told_how_much_she_has_still_to_read() -> None:
     """Else the screen of a machine that is too slow for her would flatter the scheme."""
-    state = with_tap(state_after(700), "list-decoder", behind=12_421, solved_k=-1)
-    state = with_tap(state, "nearest-centre", behind=5, solved_k=-1)
+    state = with_tap(state_after(700), "list-decoder", behind=12_421, belief={"solved_k": -1})
+    state = with_tap(state, "nearest-centre", behind=5, belief={"solved_k": -1})
     lines = shown(state, 80, 24).splitlines()
     row = {
         name: next(x for x in lines if x.startswith(f" {name}") and "[" in x) for name in state.taps
@@ -304,11 +311,10 @@ def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
     state = state_after(700)
     tap = state.taps["list-decoder"].status
     evil = "\x1b[2J[red]\r\n\x07漢\u0301\u202e" + "x" * 3
-    hostile = tap.model_copy(
-        update={"name": "[b]\x1b[31m", "message": evil, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
-    )
-    state = reduce(state, Arrival(state.plant_seen_ns, hostile))
-    for line in lines_of(state, 100, 40, PLAIN, state.plant_seen_ns):
+    at = {"seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    hostile = changed(tap, name="[b]\x1b[31m", belief={"message": evil}, **at)
+    state = reduce(state, Arrival(state.seen["plant"], hostile))
+    for line in lines_of(state, 100, 40, PLAIN, state.seen["plant"]):
         assert cell_len(line.plain) == 100
         assert all(c.isprintable() for c in line.plain)
 
@@ -337,7 +343,7 @@ def test_the_end_of_a_run_keeps_its_lines_broken_and_not_cut() -> None:
     point = "1. Spoken:  16.9 bit/s by the rule; the plant has it at step 1328, the tap at 1328."
     caption = ("What this run shows", point, "second line", "third line", "fourth line")
     view = ViewState(caption=caption, press="Any key leaves.")
-    keyed = with_plant(with_model(state_after(3000), keys_claim=CLAIM), key_blocks_begun=3)
+    keyed = with_plant(with_model(state_after(3000), keys_claim=CLAIM), keys={"begun": 3})
     for state in (state_after(3000), keyed):
         text = shown(state, 80, 24, view)
         told = text.partition("What this run shows")[2].partition("\n")[2]
@@ -356,19 +362,19 @@ def test_keys_have_lines_with_the_claim_they_rest_on_and_what_all_blocks_may_cos
     state = state_after(700)
     assert "distilled" not in shown(state, 120, 40)
     state = with_model(state, keys_claim=CLAIM, keys_eps=1e-12)
-    made = with_plant(state, keys_made=63, keys_of_block=48, key_block_steps=176)
-    begun = with_plant(made, key_blocks_begun=1700, key_blocks_lost=3)
-    refused = {"keys_refused": "eps_E = 0: nothing is claimed"}
+    made = with_plant(state, keys={"made": 63, "of_block": 48, "block_steps": 176})
+    begun = with_plant(made, keys={"begun": 1700, "lost": 3})
+    refused = {"refused": "eps_E = 0: nothing is claimed"}
     assert made.controller is not None
-    partner = made.controller.model_copy(update={"keys_stopped": "refuted"})
+    partner = changed(made.controller, keys={"stopped": "refuted"})
     for told, its in (
         ("63 keys, 698 bit/s; no tap goes for them", made),
         (f" assumption     {CLAIM}", made),
         ("63 keys, 698 bit/s; 3 blocks lost; ", begun),
         (" blocks begun   1700: together 1.7e-09 from perfect keys at most", begun),
-        (f"refused: eps_E = 0: nothing is claimed; {CLAIM}", with_plant(made, **refused)),
-        ("none: eps_E = 0: nothing is claimed", with_plant(state, **refused)),
-        ("STOPPED: refuted", with_plant(made, keys_stopped="refuted")),
+        (f"refused: eps_E = 0: nothing is claimed; {CLAIM}", with_plant(made, keys=refused)),
+        ("none: eps_E = 0: nothing is claimed", with_plant(state, keys=refused)),
+        ("STOPPED: refuted", with_plant(made, keys={"stopped": "refuted"})),
         ("STOPPED at the controller: refuted", replace(made, controller=partner)),
     ):
         text = shown(its, 120, 40)
@@ -377,17 +383,20 @@ def test_keys_have_lines_with_the_claim_they_rest_on_and_what_all_blocks_may_cos
         assert text.count("blocks begun") == (its is begun)
 
 
-def with_attacker(state: State, **fields: object) -> State:
+def with_attacker(state: State, name: str = "key-solver", **fields: object) -> State:
     """A tap that goes for the keys is heard."""
     tap = next(iter(state.taps.values()))
-    none = {"tail_k": (), "message": "", "key_bits_held": 0, "key_blocks": 7, "copies": 2000}
-    status = tap.status.model_copy(update={"name": "key-solver", **none, **fields})
+    none = KeysHeld(
+        blocks=7, broken=0, bits=0, copies=2000, missed=0, at_most=1.0, refuted=False, bursts=False
+    )
+    keys = none.model_copy(update=fields)
+    status = changed(tap.status, name=name, tail=(), belief={"message": ""}, keys=keys)
     return reduce(state, Arrival(0, status))
 
 
 def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> None:
     """``CLAIMED EXCEEDS TRUE`` stood in red above keys with a proof: whose claim, nobody said."""
-    keyed = with_plant(with_model(state_after(700), keys_claim=CLAIM), keys_made=63)
+    keyed = with_plant(with_model(state_after(700), keys_claim=CLAIM), keys={"made": 63})
     for state in (state_after(700), keyed):
         for width, height in ((120, 40), (80, 24)):
             rows = shown(state, width, height).splitlines()
@@ -397,7 +406,7 @@ def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> No
             told = [row for row in rows if "claim" in row.lower()]
             assert all("paper's rule" in row or CLAIM[:9] in row for row in told), told
             assert all(cell_len(row) <= width for row in rows)
-    rows = shown(holds := with_attacker(keyed, copies_missed=600), 80, 24).splitlines()
+    rows = shown(holds := with_attacker(keyed, missed=600), 80, 24).splitlines()
     paper, true, keys, assumption = (
         next(i for i, row in enumerate(rows) if row.startswith(f" {label}"))
         for label in ("paper's rule", "true, at most", "distilled keys", "assumption")
@@ -409,42 +418,44 @@ def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> No
     )
     assert "  distilled keys 63, Eve holds 0 bits of 7 blocks" in progress(holds)
     assert "  keys " in progress(holds)
-    assert "  keys " not in progress(with_plant(holds, agreements=0)), "the scheme agrees on none"
+    assert "  keys " not in progress(with_plant(holds, step={"agreements": 0})), (
+        "the scheme agrees on none"
+    )
 
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
-    state = with_plant(with_model(state_after(700), keys_claim=CLAIM), keys_made=63)
-    holds = with_attacker(state, copies_missed=600)
+    state = with_plant(with_model(state_after(700), keys_claim=CLAIM), keys={"made": 63})
+    holds = with_attacker(state, missed=600)
     for width, height in ((80, 24), (120, 40)):
         text = shown(holds, width, height)
         assert "63 keys, 0 bit/s; Eve holds 0 bits of 7 blocks, missed 30 %" in text
         assert f" assumption     {CLAIM}" in text
     assert list(contradictions(holds)) == []
-    two = with_attacker(holds, name="other", key_bits_held=256)
+    two = with_attacker(holds, name="other", bits=256)
     assert "Eve holds 256 bits of 7 blocks" in shown(two, 120, 40)
     worse = with_attacker(
         state,
-        copies_missed=20,
-        key_bits_held=512,
-        claim_refuted=True,
-        missed_at_most=0.0213,
-        missed_direction="offers",
+        missed=20,
+        bits=512,
+        refuted=True,
+        at_most=0.0213,
+        direction="offers",
     )
     text = shown(worse, 120, 40)
     assert "Eve holds 512 bits of 7 blocks, missed 1 %" in text
     assert worse.plant is not None
-    none = replace(worse, plant=worse.plant.model_copy(update={"keys_made": 0}))
+    none = replace(worse, plant=changed(worse.plant, keys={"made": 0}))
     assert "Eve would hold 512 bits of 7 blocks, missed 1 %" in shown(none, 120, 40)
     assert "CLAIM REFUTED: Eve misses 0.021 of the offers at most" in text
     worst = with_attacker(
         state,
-        key_bits_held=999,
-        claim_refuted=True,
-        misses_in_bursts=True,
+        bits=999,
+        refuted=True,
+        bursts=True,
     )
     text = shown(worst, 80, 24)
     assert "CLAIM REFUTED: Eve misses 1 at most; MISSES IN BURSTS" in text
-    away = with_attacker(state, copies=0, copies_missed=0, copies_absent=900)
+    away = with_attacker(state, copies=0, missed=0, absent=900)
     assert "Eve holds 0 bits of 7 blocks, was not there" in shown(away, 120, 40)
     reporter = Reporter()
     lines = reporter.report(worst, 0)

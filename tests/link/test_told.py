@@ -30,6 +30,7 @@ from protocol.messages import (
     SendCommand,
     StopKeys,
 )
+from protocol.messages.base import Part
 from protocol.secret.blocks import ExtractionFailed
 from runtime import journal as journals
 from runtime.perform import Ports, perform
@@ -42,7 +43,7 @@ TOLD = Path(__file__).parent / "told"
 PASSING = {"v", "t_ns", "text", "detail"}
 """Of a message or notice what is no deed: hours, and wording."""
 
-BULKY = ("tail_", "pictured_", "latency_")
+BULKY = {"tail", "pictured", "latency_counts"}
 """Fields of a status that the digest alone has."""
 
 
@@ -57,6 +58,16 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
+
+
+def fields_of(part: Part, before: str = "") -> Iterator[tuple[str, Any]]:
+    """The fields of a status and of its parts that have not their default, without the bulky."""
+    for name, field in type(part).model_fields.items():
+        value = getattr(part, name)
+        if isinstance(value, Part) and name not in BULKY:
+            yield from fields_of(value, f"{before}{name}.")
+        elif value != field.default and name not in BULKY | PASSING:
+            yield f"{before}{name}", value
 
 
 class Changed:
@@ -127,9 +138,7 @@ class Story(RecordedPair):
             verdict = getattr(message, "verdict", "")
             self.seen.append(f"{side}: {message.topic} {verdict}".rstrip())
         if isinstance(message, PlantStatus | ControllerStatus):
-            fields = type(message).model_fields
-            told = {k: v for k, v in message.model_dump().items() if not k.startswith(BULKY)}
-            self.statuses[side] = {k: v for k, v in told.items() if v != fields[k].default}
+            self.statuses[side] = dict(fields_of(message))
 
     def text(self) -> str:
         """What stands out, and the digest of all, which lies beside the run."""

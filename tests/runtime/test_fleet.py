@@ -134,7 +134,7 @@ class Hosts:
 
     def delivered(self, loop: str) -> bool:
         status = self.status(loop)
-        return status is not None and status.messages > 0
+        return status is not None and status.frame.messages > 0
 
 
 @pytest.mark.slow
@@ -154,8 +154,8 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
         sessions |= {e["session"] for e in events_of(trace, "transition")}
         status = hosts.status(name)
         assert status is not None
-        assert len(status.latency_counts) == len(LATENCY_BOUNDS_S) + 1
-        assert sum(status.latency_counts) > 0
+        assert len(status.timing.latency_counts) == len(LATENCY_BOUNDS_S) + 1
+        assert sum(status.timing.latency_counts) > 0
     assert len(sessions) == 3
     capsys.readouterr()
     assert main(["check", str(tmp_path)]) == 0
@@ -211,7 +211,7 @@ def test_every_loop_of_a_fleet_has_a_keyed_coin_after_its_first_block(tmp_path: 
 
     def keyed(name: str) -> bool:
         path = tmp_path / name / CONTROLLER_STATUS
-        return path.exists() and read_status(path, ControllerStatus).watched >= steps
+        return path.exists() and read_status(path, ControllerStatus).alarms.watched >= steps
 
     with hosts.running("realtime"):
         hosts.wait(lambda: all(map(keyed, names)))

@@ -6,12 +6,12 @@ import logging
 import os
 import threading
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
+from typing import Any
 
 import pytest
 
 from protocol.messages import ControllerStatus, Status
+from protocol.messages.management import StepStatus
 from runtime.health import HealthFiles, HealthWriter, read_status
 from runtime.run_folder import CONTROLLER_STATUS
 from tests.support.patience import PATIENCE_S
@@ -20,15 +20,11 @@ from tests.support.recorded_pair import RecordedPair
 LOG = logging.getLogger("health files")
 
 
-class Short(SimpleNamespace):
-    """As much of a status as is written."""
-
-    def on_file(self) -> bytes:
-        return json.dumps({"t_ns": 0, "transitions": self.transitions, "phase": "running"}).encode()
-
-
 def status(transitions: int) -> Status:
-    return cast("Status", Short(transitions=transitions, phase="running"))
+    """As much of a status as is looked at."""
+    counts: dict[str, Any] = {"transitions": transitions}
+    fields: dict[str, Any] = {"t_ns": 0, "phase": "running"}
+    return Status.model_construct(**fields, step=StepStatus.model_construct(**counts))
 
 
 def health(path: Path) -> str:
@@ -49,7 +45,7 @@ class OnDisk(HealthFiles):
         assert self.held.wait(PATIENCE_S)
         if self._error is not None:
             raise self._error
-        self.written.append(status.transitions)
+        self.written.append(status.step.transitions)
 
 
 def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Path) -> None:
@@ -114,5 +110,5 @@ def test_a_status_begins_with_its_health_and_is_read_without_it(
     loop.steps(25)
     path = tmp_path / CONTROLLER_STATUS
     assert path.read_bytes().startswith(b'{"health":"')
-    assert read_status(path, ControllerStatus).transitions > 0
+    assert read_status(path, ControllerStatus).step.transitions > 0
     loop.stop()

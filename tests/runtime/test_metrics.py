@@ -12,6 +12,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.messages.adversary import KeysHeld
 from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import UsageError
@@ -20,7 +21,7 @@ from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.statuses import status_of
+from tests.support.statuses import changed, status_of
 
 pytest.importorskip("prometheus_client")
 
@@ -43,26 +44,25 @@ def test_every_loop_is_told_of_by_its_newest_status(
             PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime")), 0.0
         )
         files.close()
-        status = status_of(plant, 0.0).model_copy(
-            update={"k": 70, "missed": 3, "latency_counts": (5, 2, *[0] * 17, 1)}
-            | {"keys_made": 63, "keys_stopped": "no pad is left" if loop == "b" else ""}
-            | {"key_blocks_lost": 2, "digits_left": 128}
+        stopped = "no pad is left" if loop == "b" else ""
+        status = changed(
+            status_of(plant, 0.0),
+            step={"k": 70, "missed": 3},
+            timing={"latency_counts": (5, 2, *[0] * 17, 1)},
+            keys={"made": 63, "stopped": stopped, "lost": 2, "digits_left": 128},
         )
         put = bus.publisher(key_of(PlantStatus, loop)).put
-        put(status.model_copy(update={"k": 1}).wire())
+        put(changed(status, step={"k": 1}).wire())
         put(status.wire())
     config = ControllerConfig(sustained, tmp_path / "a", "a", law=sustained_law)
     controller, files = open_controller(config)
     files.close()
-    told = status_of(controller).model_copy(update={"delivered": 2})
+    told = changed(status_of(controller), frame={"delivered": 2})
     bus.publisher(key_of(ControllerStatus, "a")).put(told.wire())
-    tap = TapStatus(
-        **{"seq": 1, "t_ns": 1, "name": "nearest-centre", "steps": 9, "lost": 2, "mirrored": 20},
-        **dict.fromkeys(("dropped", "behind", "malformed"), 0),
-        **{"message": "", "confidence": 0.0, "candidates_left": 0, "solved_k": -1},
-    )
-    keys = {"key_bits_held": 256, "copies": 90, "copies_missed": 3, "claim_refuted": True}
-    for hers in (tap, tap.model_copy(update={"name": "key-solver", **keys})):
+    tap = TapStatus(name="nearest-centre", steps=9, lost=2, mirrored=20)
+    counts = {"blocks": 1, "broken": 1, "bits": 256, "copies": 90, "missed": 3}
+    keys = KeysHeld(**counts, at_most=0.1, refuted=True, bursts=False)
+    for hers in (tap, tap.model_copy(update={"name": "key-solver", "keys": keys})):
         bus.publisher(key_of(TapStatus, "a")).put(hers.wire())
     with served("127.0.0.1:0", statuses) as port:
         samples = read(port)
@@ -70,7 +70,8 @@ def test_every_loop_is_told_of_by_its_newest_status(
     for loop in ("a", "b"):
         assert samples["wyner_steps_total" + of % loop] == 70
         assert samples["wyner_missed_steps_total" + of % loop] == 3
-        bucket = 'wyner_offer_latency_seconds_bucket{le="%s",loop="' + loop + '"}'
+        its = f'eavesdropper="",le="%s",loop="{loop}",service="plant"'
+        bucket = "wyner_offer_latency_seconds_bucket{" + its + "}"
         assert samples[bucket % "0.0005"] == 5
         assert samples[bucket % "0.001"] == 7
         assert samples[bucket % "+Inf"] == 8
@@ -86,7 +87,8 @@ def test_every_loop_is_told_of_by_its_newest_status(
     assert samples["wyner_keys_copies_missed_total" + of_hers] == 3
     assert samples["wyner_keys_claim_refuted" + of_hers] == 1
     other = '{eavesdropper="nearest-centre",loop="a",service="tap"}'
-    assert samples["wyner_keys_bits_held_total" + other] == 0
+    assert samples["wyner_tap_lost_total" + other] == 2
+    assert "wyner_keys_bits_held_total" + other not in samples, "it goes for no keys"
 
 
 @pytest.mark.parametrize("address", ["", "9100", "127.0.0.1:x", "127.0.0.1:²", "127.0.0.1:70000"])

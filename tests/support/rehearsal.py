@@ -11,7 +11,15 @@ from dataclasses import dataclass
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
-from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
+from protocol.messages import (
+    LATENCY_BOUNDS_S,
+    ControllerStatus,
+    PlantModel,
+    PlantStatus,
+    TapStatus,
+)
+from protocol.messages.adversary import BeliefStatus, TailGuess
+from protocol.messages.management import PicturedStep, TailStep
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
 from protocol.vectors import Vector
@@ -76,13 +84,13 @@ class Rehearsal:
             B=self.B,
         )
         x: tuple[float, ...] = tuple(4.0 / (i + 1) * (-1) ** i for i in range(n))
-        frame = encode_frame(self.message.encode(), 2)
+        frame_symbols = encode_frame(self.message.encode(), 2)
         scheme = Switched(2)
         state, p, recovered = scheme.initial, 0, ""
         deframer = Deframer(2)
         agreements = messages = 0
-        pictured: dict[str, object] = {}
-        tail: list[tuple[int, tuple[float, ...], str, int, int, int]] = []
+        pictured: PicturedStep | None = None
+        tail: list[TailStep] = []
         solved_k = -1
 
         def candidates(x: Vector) -> tuple[Vector, ...]:
@@ -104,22 +112,15 @@ class Rehearsal:
             offered, coin = candidates(x), toss(k)
             x_next = move(k, x, offered[coin])
             verdict = rule.verdict(x, offered, x_next)
-            m_p = frame[p] if p < len(frame) else IDLE
+            m_p = frame_symbols[p] if p < len(frame_symbols) else IDLE
             tested = scheme.tests(state)
             state, (symbol, pad) = scheme.advance(state, verdict.symbol)
-            role = "test" if pad == NO_SYMBOL else "message"
             agreements += symbol >= 0
-            tail = [*tail, (k, x, role, symbol, coin, state.s)][-TAIL:]
+            row = TailStep(k, x, "test" if pad == NO_SYMBOL else "message", symbol, coin)
+            tail = [*tail, row][-TAIL:]
             if tested:
-                pictured = {
-                    "pictured_k": k,
-                    "pictured_x": x,
-                    "pictured_candidates": offered,
-                    "pictured_x_next": x_next,
-                    "pictured_gauges": verdict.gauges,
-                    "pictured_symbol": verdict.symbol,
-                    "pictured_inside": verdict.inside,
-                }
+                gauges, inside = verdict.gauges, verdict.inside
+                pictured = PicturedStep(k=k, gauges=gauges, symbol=verdict.symbol, inside=inside)
             if pad != NO_SYMBOL:
                 p += 1
                 whole = deframer.push(m_p)
@@ -132,60 +133,48 @@ class Rehearsal:
             partial = deframer.partial.decode("utf-8", "replace")
             with_model = (k + 1) // every % MODEL_EVERY == 1
             last = tail if with_model else tail[-max(8, 2 * every) :]
-            tails = {
-                "tail_k": tuple(row[0] for row in last),
-                "tail_x": tuple(row[1] for row in last),
-                "tail_role": tuple(row[2] for row in last),
-                "tail_symbol": tuple(row[3] for row in last),
-                "tail_coin": tuple(row[4] for row in last),
-                "tail_automaton": tuple(row[5] for row in last),
-            }
-            plant = {
-                "seq": k,
-                "t_ns": t_ns,
-                "phase": "running",
-                "session": SESSION,
-                "sessions": 1,
+            step = {
                 "k": k + 1,
                 "x": x,
                 "transitions": k + 1,
-                "missed": 0,
-                "late": 0,
-                "malformed": 0,
                 "agreements": agreements,
-                "symbol_errors": 0,
-                "rate_hz": 100.0,
+                "symbols": p,
                 "automaton": state.s,
-                "recovered_symbols": p,
-                "messages": messages,
-                "last_message": recovered,
-                "message_k": solved_k,
-                "partial": partial,
-                "frame_symbols": min(p, len(frame)),
-                "frame_length": len(frame),
-                "frames_refused": 0,
             }
-            controller = {
+            frame = {"symbols": min(p, len(frame_symbols)), "length": len(frame_symbols)}
+            common = {
                 "seq": k,
                 "t_ns": t_ns,
                 "phase": "running",
-                "session": SESSION,
-                "k": k,
-                "set_index": max(0, 40 - k),
-                "transitions": k + 1,
-                "agreements": agreements,
                 "malformed": 0,
-                "automaton": state.s,
-                "sending": self.message,
-                "frame_symbols": min(p, len(frame)),
-                "frame_length": len(frame),
-                "queue": 0,
-                "delivered": messages,
+                "session": SESSION,
+            }
+            plant = common | {
+                "sessions": 1,
+                "step": step | {"missed": 0, "symbol_errors": 0},
+                "frame": frame | {"messages": messages, "message_k": solved_k, "refused": 0},
+                "timing": {
+                    "late": 0,
+                    "rate_hz": 100.0,
+                    "latency_counts": (0,) * (len(LATENCY_BOUNDS_S) + 1),
+                },
+                "secrets": {
+                    "message": partial,
+                    "last_message": recovered,
+                    "pictured": pictured,
+                    "tail": last,
+                },
+            }
+            controller = common | {
+                "set_index": max(0, 40 - k),
+                "step": step | {"k": k},
+                "frame": frame | {"delivered": messages, "queue": 0},
+                "secrets": {"message": self.message},
             }
             text = recovered or partial
             yield [
                 *([Arrival(t_ns, model)] if with_model else []),
-                Arrival(t_ns, PlantStatus.model_validate({**plant, **pictured, **tails})),
+                Arrival(t_ns, PlantStatus.model_validate(plant)),
                 Arrival(t_ns, ControllerStatus.model_validate(controller)),
                 *(
                     Arrival(t_ns, self._tap(name, k, t_ns, tail, text, solved_k, m))
@@ -198,41 +187,40 @@ class Rehearsal:
         name: str,
         k: int,
         t_ns: int,
-        tail: list[tuple[int, tuple[float, ...], str, int, int, int]],
+        tail: list[TailStep],
         text: str,
         solved_k: int,
         m: int,
     ) -> TapStatus:
         wrong = random.Random(f"{self.seed} {name}")
         if name == "set-membership":
-            guesses = tuple((row[4] + random.Random(row[0]).randrange(2)) % 2 for row in tail)
+            guesses = tuple((row.coin + random.Random(row.k).randrange(2)) % 2 for row in tail)
             message = "".join(chr(wrong.randrange(33, 127)) for _ in text)
         else:
-            guesses = tuple(row[4] for row in tail)
+            guesses = tuple(row.coin for row in tail)
             message = text
         if name == "nearest-centre":
             spoilt = [wrong.random() < 0.15 for _ in self.message]
             message = "".join("·" if bad else c for c, bad in zip(text, spoilt, strict=False))
         sure = name == "list-decoder" and solved_k >= 0
         knows = name != "set-membership"
+        probability = 0.98 if knows else 0.5
         return TapStatus(
             seq=k,
             t_ns=t_ns,
             name=name,
             steps=k,
-            lost=0,
             mirrored=2 * k,
-            dropped=0,
-            behind=0,
-            malformed=0,
-            message=message,
-            confidence=1.0 if sure else 0.1,
-            candidates_left=1 if sure else (k if name == "list-decoder" else 0),
-            solved_k=solved_k if sure else -1,
-            A=self.A if knows else (),
-            B=tuple(tuple(1.03 * b for b in row[:m]) for row in self.B) if knows else (),
-            tail_k=tuple(row[0] for row in tail),
-            tail_symbol=guesses,
-            tail_probability=tuple(0.98 if knows else 0.5 for _ in tail),
-            tail_agreed=tuple(0.5 for _ in tail),
+            belief=BeliefStatus(
+                message=message,
+                confidence=1.0 if sure else 0.1,
+                candidates_left=1 if sure else (k if name == "list-decoder" else 0),
+                solved_k=solved_k if sure else -1,
+                A=self.A if knows else (),
+                B=tuple(tuple(1.03 * b for b in row[:m]) for row in self.B) if knows else (),
+            ),
+            tail=tuple(
+                TailGuess(row.k, guess, probability, 0.5)
+                for row, guess in zip(tail, guesses, strict=True)
+            ),
         )

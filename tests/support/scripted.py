@@ -3,12 +3,11 @@
 from collections.abc import Iterable, Sequence
 
 from wyner.dashboard.model import Arrival
+from wyner.dashboard.source import BusSource
 
 
-class ScriptedSource:
+class ScriptedSource(BusSource):
     """Gives prepared batches, one at each call; its clock stands at the last arrival given."""
-
-    malformed = 0
 
     def __init__(self, batches: Iterable[Sequence[Arrival]]) -> None:
         self._batches = iter(batches)

@@ -1,8 +1,12 @@
-"""The status of an end, as it would tell it now."""
+"""The status of an end, as it would tell it now, and one with other values."""
 
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
 
 from protocol.link.endpoint import Endpoint
+
+M = TypeVar("M", bound=BaseModel)
 
 
 def status_of(core: Endpoint, now: float | None = None) -> Any:
@@ -10,3 +14,12 @@ def status_of(core: Endpoint, now: float | None = None) -> Any:
     state = core.state
     state.now = state.now if now is None else now
     return core.news.status(state, core.malformed)
+
+
+def changed(part: M, **fields: Any) -> M:
+    """A status with other values; a dict has those of a part."""
+    update = {
+        name: changed(getattr(part, name), **value) if isinstance(value, dict) else value
+        for name, value in fields.items()
+    }
+    return part.model_copy(update=update)

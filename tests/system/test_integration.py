@@ -39,6 +39,11 @@ def status(run_dir: Path, service: str) -> dict[str, Any]:
     return value
 
 
+def counted(run_dir: Path, service: str, what: str = "transitions") -> int:
+    """A figure of the step in a status; 0 before there is one."""
+    return int(status(run_dir, service).get("step", {}).get(what, 0))
+
+
 def children_of(pid: int) -> dict[str, int]:
     """The services that a process has started, by name."""
     found = {}
@@ -79,8 +84,8 @@ def kill_and_see_it_back(parent: int, victim: str, run_dir: Path) -> None:
     pid = children_of(parent)[victim]
     os.kill(pid, signal.SIGKILL)
     wait_for(lambda: children_of(parent).get(victim, pid) != pid)
-    counted = status(run_dir, "plant").get("transitions", 0)
-    wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > counted + 20)
+    before = counted(run_dir, "plant")
+    wait_for(lambda: counted(run_dir, "plant") > before + 20)
 
 
 @pytest.mark.slow
@@ -95,7 +100,7 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
         text=True,
     )
     try:
-        wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 40)
+        wait_for(lambda: counted(run_dir, "plant") > 40)
         for victim in ("controller", "plant", "tap"):
             kill_and_see_it_back(process.pid, victim, run_dir)
         out, _ = process.communicate(timeout=PATIENCE_S)
@@ -119,7 +124,7 @@ def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
         stderr=subprocess.DEVNULL,
     )
     try:
-        wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 5)
+        wait_for(lambda: counted(run_dir, "plant") > 5)
         services = children_of(process.pid)
         assert services.keys() == {"controller", "plant", "tap"}
     finally:
@@ -225,7 +230,7 @@ def test_a_run_can_be_joined_without_an_option(
         text=True,
     ) as process:
         try:
-            wait_for(lambda: status(tmp_path / "joined", "plant").get("k", 0) > 0)
+            wait_for(lambda: counted(tmp_path / "joined", "plant", "k") > 0)
             assert wyner("send", "second").returncode == 2, "it is of another folder"
             sent = wyner("send", "second", "--run", "joined")
             assert sent.returncode == 0, sent.stderr

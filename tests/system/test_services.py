@@ -150,7 +150,7 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
     events = events_of(system.run_dir / PLANT_TRACE, "transition")
     assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
     status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
-    assert status.late <= status.missed
+    assert status.timing.late <= status.step.missed
 
 
 def replies_on(management: MemoryBus) -> list[SendReply]:
@@ -303,13 +303,16 @@ def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system
     assert len(said[ControllerStatus]) > 10
     statuses = [s for _, s in said[PlantStatus] if isinstance(s, PlantStatus)]
     counted = [e["k"] for e in events_of(system.run_dir / PLANT_TRACE, "transition")]
-    sizes = [len(s.tail_k) for s in statuses if s.k > 100]
+    tails = [{row.k for row in s.secrets.tail} for s in statuses]
+    counts = [s.step.transitions for s in statuses]
+    sizes = [len(tail) for tail, s in zip(tails, statuses, strict=True) if s.step.k > 100]
     assert max(sizes) == 64
     assert sorted(sizes)[len(sizes) // 2] < 40
-    for heard in (statuses, statuses[::2], statuses[1::2]):
-        assert {k for s in heard for k in s.tail_k} >= set(counted[: heard[-1].transitions])
-    late = statuses[len(statuses) // 2 : len(statuses) // 2 + 20]
-    assert any(set(s.tail_k) >= set(counted[s.transitions - 64 : s.transitions]) for s in late)
+    for heard in (slice(None), slice(None, None, 2), slice(1, None, 2)):
+        assert set().union(*tails[heard]) >= set(counted[: counts[heard][-1]])
+    late = slice(len(statuses) // 2, len(statuses) // 2 + 20)
+    whole = zip(tails[late], counts[late], strict=True)
+    assert any(tail >= set(counted[n - 64 : n]) for tail, n in whole)
 
 
 # --- frames and restarts --------------------------------------------------------------------------

@@ -103,7 +103,7 @@ def test_it_waits_for_a_capture_of_its_own_settings(
         assert not pipe.poll(0.1)
         record(run, tmp_path, View())
         while len(heard) < len(run.messages):  # she may have caught up with its first line
-            assert status_when_caught_up(pipe).dropped == 0
+            assert status_when_caught_up(pipe).unused.dropped == 0
     assert heard == list(run.messages)
 
 

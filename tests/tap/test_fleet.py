@@ -87,7 +87,7 @@ def test_each_loop_is_recorded_in_its_own_folder(
     assert len(captured(tmp_path, "b")) == 10
     assert not (tmp_path / "bad").exists()
     assert not (tmp_path / "unknown").exists()
-    assert statuses["b"].dropped == 0
+    assert statuses["b"].unused.dropped == 0
 
 
 def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(

@@ -82,8 +82,8 @@ def heard(
 def test_she_guesses_and_believes_as_in_the_taps_own_process(run: Run, tmp_path: Path) -> None:
     status, record = heard(tmp_path, run, 'print("hello" * 100000)')
     assert (status.failed, status.behind, status.steps) == ("", 0, 6)
-    assert status.tail_symbol == (1,) * 6
-    assert status.message == str(len(run.messages))
+    assert [guess.symbol for guess in status.tail] == [1] * 6
+    assert status.belief.message == str(len(run.messages))
     assert (record["whole"], record["whole_count"]) == (["YQ==", "Yg=="], 2)
     assert record["symbols"] == [[1, 0], [2, 1]]
     (log,) = guess_logs(tmp_path)[1:]

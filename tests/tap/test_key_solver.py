@@ -11,13 +11,13 @@ import pytest
 from protocol.knowledge import Knowledge
 from protocol.link.records import Side
 from protocol.messages import FieldMessage, Measurement, Message, Offer
+from protocol.messages.adversary import KeysHeld
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock, schedule_of
 from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extracted
 from protocol.secret.key_digits import digits
 from protocol.secret.stream import Position
 from tap_service.eavesdroppers import KnowledgeError, named
-from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.eavesdroppers.key_solver import KeySolver
 from tap_service.listening import Listener, Listeners
 from tests.support.held_memory import kept

@@ -107,7 +107,7 @@ def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: 
     nearest = {(session, g["k"]): g["symbol"] for g in guesses if g["name"] == "nearest-centre"}
     assert all(nearest[at] == key for at, key in run.truth.keys.items())
     assert {s.name for s in wire.statuses} == set(LIGHT)
-    assert all(len(s.tail_k) <= 32 for s in wire.statuses)
+    assert all(len(s.tail) <= 32 for s in wire.statuses)
 
 
 def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_pat
     assert [m for _, m in reader.records()] == list(run.messages)
     kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "malformed"]
     assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
-    assert reader.malformed == wire.statuses[-1].malformed == len(junk)
+    assert reader.malformed == wire.statuses[-1].unused.malformed == len(junk)
     assert told(said, "undecodable") == len(junk)
 
 
@@ -157,7 +157,7 @@ def test_an_overflowing_queue_drops_counts_and_does_not_grow(
     assert 50 < waiting < 150
     wire.finish()
     assert wire.statuses[-1].mirrored == waiting
-    assert wire.statuses[-1].dropped == len(run.messages) - waiting
+    assert wire.statuses[-1].unused.dropped == len(run.messages) - waiting
 
 
 def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
@@ -175,11 +175,11 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     wire.finish()
     status = wire.statuses[-1]
     assert status.mirrored == len(run.messages)
-    assert status.dropped == len(run.messages) - 201
+    assert status.unused.dropped == len(run.messages) - 201
     assert 0 < status.steps < 300
-    left_out = f"{status.dropped} messages were mirrored and not guessed at"
+    left_out = f"{status.unused.dropped} messages were mirrored and not guessed at"
     assert any(line.startswith(left_out) for line in caplog.messages)
-    assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.dropped
+    assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.unused.dropped
 
 
 def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
@@ -196,7 +196,7 @@ def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
     wire.finish()
     for name in ("nearest-centre", "list-decoder"):
         (status,) = [s for s in wire.statuses if s.name == name][-1:]
-        assert (status.foreign, status.late, status.jumped) == (30, 1, 0)
+        assert (status.unused.foreign, status.unused.late, status.unused.jumped) == (30, 1, 0)
         assert (status.steps, status.lost) == (300, 1)
         record = json.loads((tmp_path / BELIEFS).read_bytes())[name]
         assert record["unused"]["foreign"] == 30
@@ -214,7 +214,7 @@ def test_a_tap_that_is_started_again_says_so(run: Run, tmp_path: Path) -> None:
         for message in run.messages:
             wire.send(message)
         wire.finish()
-        assert wire.statuses[-1].restarts == times
+        assert wire.statuses[-1].unused.restarts == times
         beliefs = json.loads((tmp_path / BELIEFS).read_bytes())
         assert beliefs["nearest-centre"]["unused"]["restarts"] == times
 
@@ -269,8 +269,8 @@ def test_heavy_eavesdroppers_work_beside_the_mirror_and_finish(tmp_path: Path) -
     analysed = [e for e in lines(tmp_path / ANALYSIS_GUESSES) if e["event"] == "guess"]
     assert [e["k"] for e in analysed] == list(range(400))
     last = {s.name: s for s in wire.statuses}["list-decoder"]
-    assert last.message == run.payloads[0].decode()
-    assert last.confidence == 1.0
+    assert last.belief.message == run.payloads[0].decode()
+    assert last.belief.confidence == 1.0
 
 
 @pytest.mark.slow
@@ -324,7 +324,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
     assert (record["failed"], record["behind"]) == ("", 0)
     assert wire.statuses[-1].steps == 100
-    assert wire.statuses[-1].restarts == record["unused"]["restarts"] == 1
+    assert wire.statuses[-1].unused.restarts == record["unused"]["restarts"] == 1
 
 
 @pytest.mark.slow
@@ -368,7 +368,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     assert f"eavesdropper nearest-centre failed at {why}" in knowledge_of
     last = {s.name: s for s in wire.statuses}
     assert last["nearest-centre"].failed == why
-    assert why not in last["nearest-centre"].message
+    assert why not in last["nearest-centre"].belief.message
     assert last["nearest-centre"].steps == 21
     assert last["set-membership"].failed == ""
     assert last["set-membership"].steps == 300

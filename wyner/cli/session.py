@@ -255,16 +255,17 @@ class Progress:
         """How many messages the plant has (called on the transport's thread)."""
         self._silent.discard("plant")
         with suppress(ValidationError):  # the dashboard counts malformed
-            self.received = PlantStatus.model_validate_json(payload).messages
+            self.received = PlantStatus.model_validate_json(payload).frame.messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
         self._silent.discard("controller")
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
-            self.delivered = status.delivered
-            self.keys_stopped = status.keys_refused != ""
-            self.waiting = status.queue > 0 or status.frame_symbols < status.frame_length
+            frame = status.frame
+            self.delivered = frame.delivered
+            self.keys_stopped = status.keys.refused != ""
+            self.waiting = frame.queue > 0 or frame.symbols < frame.length
 
     def tap_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """Have the keys stopped where the tap misses less than is claimed (the same thread).
@@ -272,9 +273,9 @@ class Progress:
         It is said again with each status, until the controller says that it makes no more.
         """
         with suppress(ValidationError):
-            status = TapStatus.model_validate_json(payload)
-            if status.claim_refuted and not self.keys_stopped:
-                share = f"{status.missed_at_most:.2g} of the {status.missed_direction}"
+            keys = TapStatus.model_validate_json(payload).keys
+            if keys is not None and keys.refuted and not self.keys_stopped:
+                share = f"{keys.at_most:.2g} of the {keys.direction}"
                 reason = f"the claim is refuted: the tap misses {share} at most"
                 self.stop_keys(StopKeys(reason=reason).wire())
 

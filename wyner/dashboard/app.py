@@ -12,7 +12,7 @@ from rich.console import Console, ConsoleDimensions, RenderableType
 from rich.live import Live
 
 from wyner.dashboard.model import State, reduce
-from wyner.dashboard.source import Source
+from wyner.dashboard.source import BusSource
 from wyner.dashboard.story import MOMENTS, Caption, next_moment
 from wyner.dashboard.terminal import ESCAPE, cbreak, hold_stderr
 from wyner.dashboard.view import ViewState, screen
@@ -54,7 +54,7 @@ class Watch:
         self._held: State | None = None
         self._held_ns = 0
 
-    def take(self, source: Source) -> None:
+    def take(self, source: BusSource) -> None:
         """Reduce what came; also while the view is frozen."""
         for arrival in source.drain():
             self.state = reduce(self.state, arrival)
@@ -63,7 +63,6 @@ class Watch:
                 self._told.add(place)
                 self._moments.append((caption, self.state, arrival.t_ns))
                 self._show_moment()
-        self.state = replace(self.state, unreadable=source.malformed)
 
     def _show_moment(self) -> None:
         """Hold the view at the next moment of the story, unless one is shown already."""
@@ -84,7 +83,7 @@ class Watch:
         self._show_moment()
         if self._ending and not self.view.caption:
             # No service publishes any more, and that is no silence to be told.
-            self._held, self._held_ns = self.state, self.state.last_seen_ns
+            self._held, self._held_ns = self.state, max(self.state.seen.values(), default=0)
             self.view = replace(self.view, caption=self._ending, press=LEAVE)
 
     def press(self, key: str, now_ns: int) -> None:
@@ -111,11 +110,9 @@ class Watch:
 
 
 def run_dashboard(
-    source: Source,
+    source: BusSource,
     *,
     until: Callable[[], bool],
-    out: IO[str] | None = None,
-    keyboard: int | None = None,
     story: bool = False,
     conclude: Callable[[], Sequence[str]] | None = None,
     title: str = "",
@@ -124,14 +121,10 @@ def run_dashboard(
 
     Parameters
     ----------
-    source : Source
+    source : BusSource
         Where messages come from.
     until : callable
         Whether there is nothing more to watch.
-    out : text file, optional
-        A terminal; standard output if not given.
-    keyboard : int, optional
-        Descriptor of the terminal to read keys from; standard input if not given.
     story : bool, optional
         Pause at the moments of `wyner.dashboard.story`.
     conclude : callable, optional
@@ -146,15 +139,14 @@ def run_dashboard(
         How it ended; a last screen that was left has come to its end. The terminal is as it was
         before, whatever happened; what was written to standard error meanwhile is repeated there.
     """
-    stream = out or sys.stdout
-    console = Console(file=stream, force_terminal=True, highlight=False)
+    console = Console(force_terminal=True, highlight=False)
     watch = Watch(story=story, title=title)
     over = False
     ending = Ending.FINISHED
     try:
         with (
             hold_stderr(),
-            cbreak(keyboard) as keys,
+            cbreak() as keys,
             Live(
                 console=console,
                 screen=True,
@@ -165,7 +157,7 @@ def run_dashboard(
         ):
 
             def show() -> None:
-                size = _size(stream)
+                size = _size()
                 console.size = ConsoleDimensions(*size)
                 live.update(watch.draw(size, source.now_ns()), refresh=True)
 
@@ -220,12 +212,12 @@ def _steps_between(held: State, state: State) -> int | None:
         return 0
     if held.plant is None or held.plant.session != state.plant.session:
         return None
-    return max(0, state.plant.k - held.plant.k)
+    return max(0, state.plant.step.k - held.plant.step.k)
 
 
-def _size(stream: IO[str]) -> Size:
+def _size() -> Size:
     try:
-        columns, rows = os.get_terminal_size(stream.fileno())
+        columns, rows = os.get_terminal_size(sys.stdout.fileno())
     except OSError:
         return (80, 24)
     # A terminal that does not know its size says 0x0.

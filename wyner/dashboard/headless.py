@@ -3,14 +3,12 @@
 import sys
 import time
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import replace
 from typing import IO, Final
 
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
-    attacker,
     characters_right,
     contradictions,
     rate_in_words,
@@ -19,7 +17,7 @@ from wyner.dashboard.score import (
     truth_for,
 )
 from wyner.dashboard.secrecy_panel import held, keys_right
-from wyner.dashboard.source import Source
+from wyner.dashboard.source import BusSource
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.text import component, in_words, letters
 
@@ -50,7 +48,7 @@ class Reporter:
             if self._told.get(about) != value:
                 self._told[about] = value
                 lines.append(line)
-        now = (state.plant.session, state.plant.k) if state.plant is not None else None
+        now = (state.plant.session, state.plant.step.k) if state.plant is not None else None
         if now is None or now == self._at or now_ns < self._next_ns:
             return lines
         self._at, self._next_ns = now, now_ns + PROGRESS_NS
@@ -74,33 +72,31 @@ def facts(state: State) -> Iterator[Fact]:
     if plant is not None:
         if plant.attack:
             yield "attack", plant.attack, f"attack: {plant.attack}"
-        if plant.symbol_errors:
+        if plant.step.symbol_errors:
             why = " (its sensor is being attacked)" if plant.attack else ""
-            yield "wrong", True, f"step {plant.k}: a key is not the plant's input{why}"
-        if n := plant.messages:
-            at = f" at step {plant.message_k}" if plant.message_k >= 0 else ""
-            yield "message", n, f"message {n} recovered{at}: {_quoted(plant.last_message)}"
+            yield "wrong", True, f"step {plant.step.k}: a key is not the plant's input{why}"
+        if n := plant.frame.messages:
+            at = f" at step {plant.frame.message_k}" if plant.frame.message_k >= 0 else ""
+            yield "message", n, f"message {n} recovered{at}: {_quoted(plant.secrets.last_message)}"
     for name, tap in state.taps.items():
         yield from _of_tap(printable(name), tap)
-    if (hers := attacker(state)) is not None:
-        if hers.key_bits_held:
-            bits = f"tap {printable(hers.name)} holds {hers.key_bits_held} bits of keys"
-            yield "bits held", True, bits
-        for text in contradictions(state):
-            yield text.partition(":")[0], True, printable(text)
+    for text in contradictions(state):
+        yield text.partition(":")[0], True, printable(text)
 
 
 def _of_tap(name: str, tap: TapState) -> Iterator[Fact]:
     yield f"tap {name}", True, f"tap {name} listens"
-    failed, solved = tap.status.failed, tap.status.solved_k
+    failed, keys, belief = tap.status.failed, tap.status.keys, tap.status.belief
     if failed:
         yield f"{name} failed", failed, f"tap {name} FAILED: {printable(failed)}"
     if tap.exact:
-        yield f"{name} exact", True, f"tap {name} has the message: {_quoted(tap.status.message)}"
-    if solved >= 0:
+        yield f"{name} exact", True, f"tap {name} has the message: {_quoted(belief.message)}"
+    if (k := belief.solved_k) >= 0:
         wrong = tap.watched and not tap.exact
         judged = ", but it is not a true one" if wrong else ""
-        yield f"{name} sure", solved, f"tap {name} was sure of a message at step {solved}{judged}"
+        yield f"{name} sure", k, f"tap {name} was sure of a message at step {k}{judged}"
+    if keys is not None and keys.bits:
+        yield f"{name} bits", True, f"tap {name} holds {keys.bits} bits of keys"
 
 
 def progress(state: State) -> str:
@@ -110,23 +106,24 @@ def progress(state: State) -> str:
     recovered, sent = len(letters(state.recovered)), len(letters(state.sent))
     distilled = state.model is not None and bool(state.model.keys_claim)
     # `sealed` agrees on no key symbol: its message travels under distilled keys
-    agreed = [f"keys {plant.agreements}"] if plant.agreements or not distilled else []
+    step = plant.step
+    agreed = [f"keys {step.agreements}"] if step.agreements or not distilled else []
     troubles = {
-        "wrong keys": plant.symbol_errors,
-        "frames refused": plant.frames_refused,
+        "wrong keys": step.symbol_errors,
+        "frames refused": plant.frame.refused,
         "malformed": state.malformed,
     }
     parts = [
-        f"step {plant.k}",
-        f"x ({', '.join(component(v) for v in plant.x)})",
+        f"step {step.k}",
+        f"x ({', '.join(component(v) for v in step.x)})",
         *agreed,
-        f"missed {plant.missed}",
+        f"missed {step.missed}",
         *(f"{what} {n}" for what, n in troubles.items() if n),
         rate_in_words(state),
         f"recovered {recovered}/{sent} {_quoted(state.recovered)}",
     ]
     if distilled:
-        parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
+        parts.append(f"distilled keys {plant.keys.made}, {held(state, 99)[0]}")
     if state.away:
         parts.append(f"the plant is {component(state.away)} from the x reported")
     if state.alarms:
@@ -136,7 +133,7 @@ def progress(state: State) -> str:
         tap = state.taps[its.strongest]
         scored = score(state, tap)
         right, total = characters_right(state, tap)
-        old = "" if truth_for(state, tap.status.message) == state.sent else ", old"
+        old = "" if truth_for(state, tap.status.belief.message) == state.sent else ", old"
         parts.append(
             f"{printable(its.strongest)}: {keys_right(scored)} % of key symbols,"
             f" {right}/{total} characters{old}"
@@ -159,7 +156,7 @@ def secrecy_line(state: State) -> str:
 
 
 def run_headless(
-    source: Source,
+    source: BusSource,
     *,
     until: Callable[[], bool],
     out: IO[str] | None = None,
@@ -185,7 +182,7 @@ def run_headless(
     try:
         while True:
             finished = until()
-            state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
+            state = reduce_all(state, source.drain())
             lines = reporter.report(state, source.now_ns())
             say(lines)
             last = lines[-1] if lines else last

@@ -5,11 +5,20 @@ recorded list of arrivals always gives the same state.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
-from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
+from protocol.messages import (
+    ControllerStatus,
+    Message,
+    PlantModel,
+    PlantStatus,
+    Status,
+    TapStatus,
+)
+from protocol.messages.adversary import TailGuess
+from protocol.messages.management import PicturedStep, TailStep
 from protocol.relabelling import Pairs
 
 T = TypeVar("T")
@@ -17,9 +26,6 @@ T = TypeVar("T")
 STEPS_KEPT: Final = 4096
 """Steps whose true symbols and guesses are held for scoring, so that a tap that decodes late is
 scored too; older ones are forgotten."""
-
-STATES_KEPT: Final = 240
-"""States held for the history, at least as many as the widest sparkline shows."""
 
 TEXTS_KEPT: Final = 8
 """True messages remembered, so that a tap still on an earlier one is judged against that one."""
@@ -34,28 +40,13 @@ TAPS_KEPT: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A message and the time it came, in nanoseconds of a clock that never goes back."""
+    """A message and the time it came, in nanoseconds of a clock that never goes back.
+
+    None: what came was no message of its key.
+    """
 
     t_ns: int
-    message: Message
-
-
-@dataclass(frozen=True, slots=True)
-class ShownTruth:
-    """What the plant says about one transition: its role, the key symbol (or -1), the coin b_r."""
-
-    role: Literal["test", "message"]
-    symbol: int
-    coin: int
-
-
-@dataclass(frozen=True, slots=True)
-class ShownGuess:
-    """What a tap says about one step: likeliest symbol, its probability, that of an agreement."""
-
-    symbol: int
-    probability: float
-    agreed: float
+    message: Message | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +55,12 @@ class TapState:
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap. ``exact``: its message was
     a true one, at least once. ``watched``: its statuses were received before it was sure of any
-    message, while the truth was known. ``pairs`` counts the agreed steps whose guess and truth are
-    held no more, by both, over all sessions.
+    message, while the truth was known. ``pairs`` counts the agreed steps that were guessed, by
+    guess and truth, over all sessions.
     """
 
     status: TapStatus
-    seen_ns: int
-    guesses: Mapping[int, ShownGuess] = field(default_factory=dict)
+    guesses: Mapping[int, TailGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
     pairs: Pairs = field(default_factory=dict)
@@ -80,88 +70,90 @@ class TapState:
 class State:
     """All that the screen and the plain lines are made from.
 
-    ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn;
-    ``states`` are those that the plant reports, ``true_states`` what they are where it is attacked.
+    ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``truths``
+    are the transitions that it has told, by step. ``seen`` is when a plant, controller or tap was
+    heard last. ``malformed`` counts payloads that were no message, and statuses of more taps than
+    are kept.
     """
 
     model: PlantModel | None = None
     plant: PlantStatus | None = None
-    plant_seen_ns: int = -1
     controller: ControllerStatus | None = None
-    controller_seen_ns: int = -1
-    pictured: PlantStatus | None = None
+    pictured: PicturedStep | None = None
     pictured_ns: int = -1
     taps: Mapping[str, TapState] = field(default_factory=dict)
-    truths: Mapping[int, ShownTruth] = field(default_factory=dict)
-    states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
-    true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    truths: Mapping[int, TailStep] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
+    seen: Mapping[str, int] = field(default_factory=dict)
+    received: int = 0
+    malformed: int = 0
 
     @property
     def alarms(self) -> str:
         """The last alarm, in words; empty where there is none."""
-        return "" if self.controller is None else self.controller.alarm_sentence()
+        return "" if self.controller is None else self.controller.alarms.sentence()
 
     @property
     def away(self) -> float:
         """How far an attacked plant's true state is from the one reported, by component at most."""
-        k = max(self.true_states, default=-1)
-        reported = self.states.get(k, ())
-        true = self.true_states.get(k, ())
+        k = max(self.truths, default=-1)
+        if self.plant is None or k < 0:
+            return 0.0
+        true, reported = self.truths[k].true_x_next, self.plant.step.x
+        if self.plant.step.k != k + 1:  # steps were missed since, of which the truth is not told
+            true = self.truths[k - 1].true_x_next if k - 1 in self.truths else ()
+            reported = self.truths[k].x
         return max((abs(a - b) for a, b in zip(true, reported, strict=False)), default=0.0)
-
-    received: int = 0
-    refused: int = 0
-    unreadable: int = 0
-
-    @property
-    def malformed(self) -> int:
-        """Payloads that the source could not read, and statuses of more taps than are kept."""
-        return self.unreadable + self.refused
-
-    @property
-    def last_seen_ns(self) -> int:
-        """When the last status was received."""
-        taps = (tap.seen_ns for tap in self.taps.values())
-        return max(self.plant_seen_ns, self.controller_seen_ns, *taps)
 
     @property
     def candidates(self) -> int:
         """M, the number of candidates in an offer; 2 before the first pictured transition."""
-        pictured = len(self.plant.pictured_candidates) if self.plant is not None else 0
-        return max(2, pictured)
+        return 2 if self.pictured is None else len(self.pictured.gauges)
 
     @property
     def recovered(self) -> str:
         """The text the plant has so far: the frame on its way, or the last whole message."""
         if self.plant is None:
             return ""
-        under_way = self.controller is not None and (
-            self.controller.frame_symbols < self.controller.frame_length
-            or self.controller.sending != self.plant.last_message
+        said, controller = self.plant.secrets, self.controller
+        under_way = controller is not None and (
+            controller.frame.symbols < controller.frame.length
+            or controller.secrets.message != said.last_message
         )
-        return self.plant.partial if self.plant.partial or under_way else self.plant.last_message
+        return said.message if said.message or under_way else said.last_message
 
     @property
     def sent(self) -> str:
         """The text on its way, or, without a controller, what the plant has."""
-        return self.controller.sending if self.controller is not None else self.recovered
+        return self.recovered if self.controller is None else self.controller.secrets.message
 
 
 def reduce(state: State, arrival: Arrival) -> State:
     """The state after one more arrival; anything else than these only counts."""
+    t_ns, message = arrival.t_ns, arrival.message
+    if message is None:
+        return replace(state, malformed=state.malformed + 1)
     state = replace(state, received=state.received + 1)
-    match arrival.message:
-        case PlantModel() as model:
-            return replace(state, model=model)
-        case PlantStatus() as status:
-            return _plant(state, status, arrival.t_ns)
-        case ControllerStatus() as status:
-            return _controller(state, status, arrival.t_ns)
-        case TapStatus() as status:
-            return _tap(state, status, arrival.t_ns)
+    match message:
+        case PlantModel():
+            return replace(state, model=message)
+        case PlantStatus() if not _stale(state.plant, message):
+            state = _heard(
+                _plant(state, message, t_ns), "plant", t_ns, message.secrets.last_message
+            )
+        case ControllerStatus() if not _stale(state.controller, message):
+            state = _heard(state, "controller", t_ns, message.secrets.message)
+            state = replace(state, controller=message)
+        case TapStatus():
+            state = _tap(state, message, t_ns)
         case _:
             return state
+    found = {
+        name: replace(tap, exact=True)
+        for name, tap in state.taps.items()
+        if not tap.exact and tap.status.belief.message in state.texts
+    }
+    return replace(state, taps={**state.taps, **found}) if found else state
 
 
 def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
@@ -171,166 +163,82 @@ def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
     return state
 
 
+def _heard(state: State, service: str, t_ns: int, text: str = "") -> State:
+    """A service was heard; a true message that it told is remembered."""
+    texts = state.texts
+    if text and text not in texts:
+        texts = (*texts, text)[-TEXTS_KEPT:]
+    return replace(state, seen={**state.seen, service: t_ns}, texts=texts)
+
+
 def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
-    if state.plant is not None and _stale(state.plant, status):
-        return state
     if state.plant is not None and state.plant.session != status.session:
         # Steps may be counted afresh in a new session: what was known by step is void.
-        state = replace(
-            state,
-            pictured=None,
-            truths={},
-            states={},
-            true_states={},
-            taps={
-                name: replace(tap, guesses={})
-                for name, tap in _forgotten(state, state.truths).items()
-            },
-        )
-    truths, states = dict(state.truths), dict(state.states)
-    tail = zip(
-        status.tail_k,
-        status.tail_x,
-        status.tail_role,
-        status.tail_symbol,
-        status.tail_coin,
-        strict=False,
-    )
-    for k, x, role, symbol, coin in tail:
-        truths[k] = ShownTruth(role, symbol, coin)
-        states[k] = x
-    states[status.k] = status.x
-    true_states = dict(state.true_states)
-    for k, true in zip(status.tail_k, status.tail_true_x, strict=False):
-        true_states[k + 1] = true
-    state = _picture(state, status, t_ns)
-    kept = _newest(truths, STEPS_KEPT)
-    if len(kept) < len(truths):
-        gone = truths.keys() - kept.keys()
-        state = replace(state, taps=_forgotten(replace(state, truths=truths), gone))
-    return _judge(
-        replace(
-            state,
-            plant=status,
-            plant_seen_ns=t_ns,
-            truths=kept,
-            states=_newest(states, STATES_KEPT),
-            true_states=_newest(true_states, STATES_KEPT),
-            texts=_with_text(state.texts, status.last_message),
-        )
+        taps = {name: replace(tap, guesses={}) for name, tap in state.taps.items()}
+        state = replace(state, pictured=None, truths={}, taps=taps)
+    told = {row.k: row for row in status.secrets.tail}
+    agreed = {k: r.symbol for k, r in told.items() if r.symbol >= 0 and k not in state.truths}
+    taps = {
+        name: _compared(tap, {k: symbol for k, symbol in agreed.items() if k in tap.guesses})
+        for name, tap in state.taps.items()
+    }
+    return replace(
+        _picture(state, status, t_ns),
+        plant=status,
+        taps=taps,
+        truths=_newest({**state.truths, **told}),
     )
 
 
 def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
-    if status.pictured_k < 0:
+    shown, new = state.pictured, status.secrets.pictured
+    if new is None:
         return state
-    shown = state.pictured
     over = t_ns - state.pictured_ns >= PICTURE_NS
-    better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)
-    if not over and not better:
-        return state
-    return replace(state, pictured=status, pictured_ns=t_ns)
-
-
-def _controller(state: State, status: ControllerStatus, t_ns: int) -> State:
-    if state.controller is not None and _stale(state.controller, status):
-        return state
-    return _judge(
-        replace(
-            state,
-            controller=status,
-            controller_seen_ns=t_ns,
-            texts=_with_text(state.texts, status.sending),
-        )
-    )
+    better = shown is None or new.symbol >= 0 > shown.symbol
+    return replace(state, pictured=new, pictured_ns=t_ns) if over or better else state
 
 
 def _tap(state: State, status: TapStatus, t_ns: int) -> State:
-    before = state.taps.get(status.name)
-    if before is not None and _stale(before.status, status):
+    tap = state.taps.get(status.name)
+    if tap is None and len(state.taps) >= TAPS_KEPT:
+        return replace(state, malformed=state.malformed + 1)
+    if tap is None:
+        tap = TapState(status)
+    elif _stale(tap.status, status):
         return state
-    if before is None and len(state.taps) >= TAPS_KEPT:
-        return replace(state, refused=state.refused + 1)
-    guesses = dict(before.guesses) if before is not None else {}
-    tail = zip(
-        status.tail_k,
-        status.tail_symbol,
-        status.tail_probability,
-        status.tail_agreed,
-        strict=False,
+    told = {guess.k: guess for guess in status.tail}
+    agreed = {k: state.truths[k].symbol for k in told if k in state.truths}
+    agreed = {k: symbol for k, symbol in agreed.items() if symbol >= 0}
+    tap = _compared(tap, {k: symbol for k, symbol in agreed.items() if k in tap.guesses}, -1)
+    tap = replace(
+        tap,
+        status=status,
+        guesses=_newest({**tap.guesses, **told}),
+        watched=tap.watched or (status.belief.solved_k < 0 and bool(state.texts)),
     )
-    for k, symbol, probability, agreed in tail:
-        guesses[k] = ShownGuess(symbol, probability, agreed)
-    kept = _newest(guesses, STEPS_KEPT)
-    gone = _compared(
-        state, guesses, guesses.keys() - kept.keys() if len(kept) < len(guesses) else ()
-    )
-    tap = TapState(
-        status,
-        t_ns,
-        kept,
-        pairs=gone if before is None else gone + Counter(before.pairs),
-        exact=before is not None and before.exact,
-        watched=(before is not None and before.watched)
-        or (status.solved_k < 0 and bool(state.texts)),
-    )
-    return _judge(replace(state, taps={**state.taps, status.name: tap}))
+    tap = _compared(tap, agreed)
+    return _heard(replace(state, taps={**state.taps, status.name: tap}), "tap", t_ns)
 
 
-def _compared(
-    state: State, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
-) -> Counter[tuple[int, int]]:
-    """Of these steps the agreed ones that a tap has guessed, by its guess and the truth."""
-    found: Counter[tuple[int, int]] = Counter()
-    for k in steps:
-        guess, truth = guesses.get(k), state.truths.get(k)
-        if guess is not None and truth is not None and truth.symbol >= 0:
-            found[guess.symbol, truth.symbol] += 1
-    return found
+def _compared(tap: TapState, agreed: Mapping[int, int], times: int = 1) -> TapState:
+    """The tap, of whose guesses those of these steps count, or (-1) do not count any more."""
+    if not agreed:
+        return tap
+    pairs = Counter(tap.pairs)
+    for k, symbol in agreed.items():
+        pairs[tap.guesses[k].symbol, symbol] += times
+    return replace(tap, pairs=pairs)
 
 
-def compared(state: State, tap: TapState) -> Counter[tuple[int, int]]:
-    """The agreed steps that a tap has guessed so far, by its guess and the truth."""
-    return _compared(state, tap.guesses, tap.guesses) + Counter(tap.pairs)
-
-
-def _forgotten(state: State, steps: Collection[int]) -> dict[str, TapState]:
-    """The taps without their guesses of these steps, which are counted."""
-    taps = {}
-    for name, tap in state.taps.items():
-        pairs = _compared(state, tap.guesses, steps) + Counter(tap.pairs)
-        guesses = {k: guess for k, guess in tap.guesses.items() if k not in steps}
-        taps[name] = replace(tap, guesses=guesses, pairs=pairs)
-    return taps
-
-
-def _judge(state: State) -> State:
-    """Mark the taps whose message is a true one now."""
-    found = {
-        name: replace(tap, exact=True)
-        for name, tap in state.taps.items()
-        if not tap.exact and tap.status.message and tap.status.message in state.texts
-    }
-    return replace(state, taps={**state.taps, **found}) if found else state
-
-
-def _stale(
-    known: PlantStatus | ControllerStatus | TapStatus,
-    new: PlantStatus | ControllerStatus | TapStatus,
-) -> bool:
+def _stale(known: Status | TapStatus | None, new: Status | TapStatus) -> bool:
     # A service that was started again counts from zero but its clock is later: not stale.
-    return new.seq < known.seq and new.t_ns < known.t_ns
+    return known is not None and new.seq < known.seq and new.t_ns < known.t_ns
 
 
-def _newest(by_step: dict[int, T], limit: int) -> dict[int, T]:
-    if len(by_step) <= limit:
+def _newest(by_step: dict[int, T]) -> dict[int, T]:
+    if len(by_step) <= STEPS_KEPT:
         return by_step
     # An eighth more than needed goes at once, so that sorting is seldom.
-    return {k: by_step[k] for k in sorted(by_step)[-(limit - limit // 8) :]}
-
-
-def _with_text(texts: tuple[str, ...], text: str) -> tuple[str, ...]:
-    if not text or text in texts:
-        return texts
-    return (*texts, text)[-TEXTS_KEPT:]
+    return {k: by_step[k] for k in sorted(by_step)[-(STEPS_KEPT - STEPS_KEPT // 8) :]}

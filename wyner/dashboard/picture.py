@@ -12,9 +12,9 @@ from rich.text import Text
 
 from protocol.agreement import INSIDE
 from protocol.convex import corners
-from protocol.messages import PlantModel, PlantStatus
-from wyner.dashboard.parts import line, rule
-from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, longest, number
+from protocol.messages import PlantModel
+from protocol.messages.management import PicturedStep
+from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, line, longest, number, rule
 
 BARS_AT_MOST: Final = 16
 
@@ -22,16 +22,14 @@ BESIDE: Final = 22
 """Cells of a line beside its bar: the candidate's number, the gauge and what it means."""
 
 
-def verdict(status: PlantStatus) -> str:
+def verdict(step: PicturedStep) -> str:
     """What the agreement test said of the pictured step, in words (equation 20)."""
-    symbol = status.pictured_symbol
-    if symbol >= 0:
-        return f"KEY {symbol}: only input {symbol} explains it"
-    inside = status.pictured_inside
-    if inside == 0:
+    if step.symbol >= 0:
+        return f"KEY {step.symbol}: only input {step.symbol} explains it"
+    if step.inside == 0:
         return "no key: no input explains it"
-    if inside > 1:
-        return f"no key: {inside} inputs explain it"
+    if step.inside > 1:
+        return f"no key: {step.inside} inputs explain it"
     return "no key: outside a D_e, so Eve knows"
 
 
@@ -45,18 +43,17 @@ def spread(model: PlantModel) -> float:
 
 
 def agreement(
-    model: PlantModel | None, status: PlantStatus | None, width: int, rows: int
+    model: PlantModel | None, step: PicturedStep | None, width: int, rows: int
 ) -> list[Text]:
     """The last pictured step in at most ``rows`` lines of ``width`` cells."""
-    if status is None:
+    if step is None:
         return [rule("Key test", width), line(" no step pictured yet")]
-    title = rule(f"Key test at step {status.pictured_k}", width)
+    title = rule(f"Key test at step {step.k}", width)
     if model is None:
         return [title, line(" the plant's model was not received yet")]
-    gauges = status.pictured_gauges
-    most = max(1, min(rows - 3, BARS_AT_MOST, len(gauges)))  # title, scale and verdict
-    style = STYLES["good"] if status.pictured_symbol >= 0 else ""
-    return [title, *_bars(model, gauges, width, most), line(f" {verdict(status)}", style)]
+    most = max(1, min(rows - 3, BARS_AT_MOST, len(step.gauges)))  # title, scale and verdict
+    style = STYLES["good"] if step.symbol >= 0 else ""
+    return [title, *_bars(model, step.gauges, width, most), line(f" {verdict(step)}", style)]
 
 
 def _bars(model: PlantModel, gauges: Sequence[float], width: int, most: int) -> list[Text]:

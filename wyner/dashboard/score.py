@@ -5,52 +5,18 @@ nowhere else.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from protocol.messages import TapStatus
-from protocol.messages.adversary import deaf_share
-from protocol.relabelling import Labels, known
+from protocol.messages.adversary import KeysHeld, deaf_share
+from protocol.relabelling import KnownSymbols, known
 from protocol.statistics import CONFIDENCE, Interval, bits_left, stated_left
-from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
+from wyner.dashboard.model import TAPS_KEPT, State, TapState
 from wyner.dashboard.text import drawn, letters, number
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
 """Chance of a false alarm because of one tap, however long one watches: all of them share 5 %."""
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """One tap's guesses on the agreed steps that both Eve and the plant reported.
-
-    Parameters
-    ----------
-    scored, right : int
-        Agreed steps compared, and those where Eve's likeliest symbol was the key symbol, up to one
-        relabelling of the symbols for all steps (:mod:`protocol.relabelling`).
-    guessed : Interval
-        The share that was right, with 95 % limits that hold at every look together: it is looked
-        at after every status.
-    size : int
-        M.
-    labels : tuple of int
-        That relabelling; empty where Eve's symbols count as named.
-    leads : bool
-        Whether Eve is shown to do better than chance.
-    """
-
-    scored: int
-    right: int
-    guessed: Interval
-    size: int
-    labels: Labels
-    leads: bool
-
-    @property
-    def bits_per_key(self) -> float | None:
-        """What one key symbol hides from Eve at most, -log2 P_g in bits; None: no guess yet."""
-        return bits_left(1, self.size, self.guessed).high if self.scored else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,28 +60,28 @@ class SecrecyScore:
         return None if self.left is None else self.left.high
 
 
-def score(state: State, tap: TapState) -> Score:
-    """Score one tap on all agreed steps so far."""
-    size = state.candidates
-    its = known([compared(state, tap)], size)
-    labels = its.labels[0] if its.labels else ()
-    return Score(its.of, its.right, its.share, size, labels, its.better_than_chance(ALARM))
+def score(state: State, tap: TapState) -> KnownSymbols:
+    """What one tap knows of all agreed steps so far that it has guessed.
+
+    The limits of the share hold at every look together: it is looked at after every status.
+    """
+    return known([tap.pairs], state.candidates)
 
 
-def ranked(state: State) -> list[tuple[TapState, Score]]:
+def ranked(state: State) -> list[tuple[TapState, KnownSymbols]]:
     """The taps, strongest first: a true message, else most of its text, else the best guesses.
 
     Those that failed come last, but for one that holds a true message.
     """
     scored = [(tap, score(state, tap)) for tap in state.taps.values()]
 
-    def strength(pair: tuple[TapState, Score]) -> tuple[bool, bool, int, float, str]:
+    def strength(pair: tuple[TapState, KnownSymbols]) -> tuple[bool, bool, int, float, str]:
         tap, its = pair
         right, total = characters_right(state, tap)
         # In tenths of the text, so that a character right by chance changes no order.
         tenths = 10 * right // total if total else 0
         failed = bool(tap.status.failed) and not tap.exact
-        return (failed, not tap.exact, -tenths, -its.guessed.low, tap.status.name)
+        return (failed, not tap.exact, -tenths, -its.share.low, tap.status.name)
 
     return sorted(scored, key=strength)
 
@@ -126,127 +92,88 @@ def _carried(state: State) -> int:
         return 0
     newest = max(state.truths, default=None)
     unsaid = newest is not None and state.truths[newest].symbol >= 0
-    return state.plant.agreements - unsaid
+    return state.plant.step.agreements - unsaid
 
 
-@dataclass(frozen=True, slots=True)
-class Left:
+class Left(NamedTuple):
     """Bits that one tap leaves of the agreed keys, of the steps that it could use.
 
-    Parameters
-    ----------
-    by_keys : Interval, optional
-        What guessing one by one leaves; None where it was compared on none.
-    stated : Interval, optional
-        By its own account, but no more than was agreed; None where it gives none.
-    silent : float
-        Bits of the steps that it could not use.
+    ``silent`` are those of the steps that it could not use; ``why`` says what the figure rests on,
+    and is empty where it is its guesses as named.
     """
 
-    by_keys: Interval | None
-    stated: Interval | None
+    bits: Interval
     silent: float = 0.0
-
-    @property
-    def least(self) -> Interval | None:
-        """The less of both; None where nobody knows."""
-        both = [left for left in (self.stated, self.by_keys) if left is not None]
-        return min(both, key=lambda left: left.high, default=None)
+    why: str = ""
 
 
-def left_by(state: State, tap: TapState, its: Score) -> Left:
-    """What one tap leaves of the agreed keys: nothing where it holds a true message."""
-    if tap.exact:
-        return Left(Interval(0.0, 0.0, 0.0), None)
-    if tap.status.failed:
-        return Left(None, None)
-    keys = _carried(state)
-    silent = round(keys * deaf_share(vars(tap.status), tap.status.steps))
-    bit = math.log2(its.size)
-    by_keys = bits_left(keys - silent, its.size, its.guessed) if its.scored else None
-    stated, bits = None, tap.status.bits_left
-    if bits is not None:
-        stated = stated_left(bits, (keys - silent) * bit if state.plant is not None else bits)
-    return Left(by_keys, stated, silent * bit)
+def left_by(state: State, tap: TapState, its: KnownSymbols) -> Left | None:
+    """What one tap leaves: nothing where it holds a true message; None where nobody knows.
 
-
-def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) -> SecrecyScore:
-    """What the paper's rule counts against the truth, from all taps.
-
-    ``taps`` are those of `ranked` where it was called.
+    The less of what guessing one by one leaves, and of what it states itself.
     """
-    symbols = _carried(state)
-    claimed = symbols * math.log2(state.candidates)
-    taps = ranked(state) if taps is None else taps
-    failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
-    exceeds = symbols > 0 and any(tap.exact or its.leads for tap, its in taps)
-    best: tuple[float, Left, TapState, Score] | None = None
-    for tap, its in taps:
-        left = left_by(state, tap, its)
-        if (least := left.least) is None:
-            continue
-        unknown = least.high + left.silent  # deaf taps are not the strongest
-        if best is None or unknown < best[0]:
-            best = unknown, left, tap, its
-    if best is None:
-        why = "Eve failed" if failed else "no guess yet" if taps else "no tap"
-        return SecrecyScore(claimed, None, "", exceeds, 0, why, failed)
-    _, left, tap, its = best
-    return SecrecyScore(
-        claimed,
-        left.least,
-        tap.status.name,
-        exceeds,
-        its.scored,
-        _rests_on(tap, its, left),
-        failed,
-        left.silent,
-    )
-
-
-def _rests_on(tap: TapState, its: Score, left: Left) -> str:
-    """What the figure of the strongest tap rests on; empty where it is its guesses as named."""
+    status, belief = tap.status, tap.status.belief
     if tap.exact:
-        return "a true message"
-    found = []
-    if left.stated is not None:
-        expectation = tap.status.given
-        account = f"given {expectation}" if expectation else "by its own account"
-        if left.by_keys is not None:
-            account = (
-                f"at most {left.stated.high:.0f} {account}, by keys alone {left.by_keys.high:.0f}"
-            )
+        return Left(Interval(0.0, 0.0, 0.0), why="a true message")
+    if status.failed:
+        return None
+    keys, size = _carried(state), state.candidates
+    silent = round(keys * deaf_share(vars(status.unused), status.steps))
+    bit = math.log2(size)
+    found, known_left = [], []
+    if its.of:
+        known_left.append(bits_left(keys - silent, size, its.share))
+    if belief.bits_left is not None:
+        most = (keys - silent) * bit if state.plant is not None else belief.bits_left
+        stated = stated_left(belief.bits_left, most)
+        account = f"given {belief.given}" if belief.given else "by its own account"
+        if known_left:
+            account = f"at most {stated.high:.0f} {account}, by keys alone {known_left[0].high:.0f}"
         found.append(account)
-        if tap.status.solved_k < 0:
+        known_left.insert(0, stated)
+        if belief.solved_k < 0:
             found.append("Eve has no whole message yet")
+    if not known_left:
+        return None
     if its.labels:
         found.append("its symbols relabelled")
-    if left.silent:
-        found.append(f"of {left.silent:.0f} bit more nobody knows: Eve could not use their steps")
-    return "; ".join(found)
+    if silent:
+        more = f"of {silent * bit:.0f} bit more nobody knows"
+        found.append(f"{more}: Eve could not use their steps")
+    least = min(known_left, key=lambda left: left.high)
+    return Left(least, silent * bit, "; ".join(found))
 
 
-def rate_of(state: State) -> float | None:
-    """Message bits per second of plant time, over the session; None: the period is not known.
-
-    A count of what was sent, and no estimate: it has no interval.
-    """
-    plant, model = state.plant, state.model
-    if plant is None or model is None:
-        return None
-    if plant.k == 0 or model.period_s <= 0:
-        return 0.0
-    return plant.recovered_symbols * math.log2(state.candidates) / (plant.k * model.period_s)
+def secrecy(state: State) -> SecrecyScore:
+    """What the paper's rule counts against the truth, from all taps."""
+    symbols = _carried(state)
+    claimed = symbols * math.log2(state.candidates)
+    taps = ranked(state)
+    failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
+    exceeds = symbols > 0 and any(tap.exact or its.better_than_chance(ALARM) for tap, its in taps)
+    by_tap = [(left_by(state, tap, its), tap.status.name, its.of) for tap, its in taps]
+    found = [(left, name, of) for left, name, of in by_tap if left is not None]
+    if not found:
+        why = "Eve failed" if failed else "no guess yet" if taps else "no tap"
+        return SecrecyScore(claimed, None, "", exceeds, 0, why, failed)
+    # deaf taps are not the strongest
+    left, name, of = min(found, key=lambda one: one[0].bits.high + one[0].silent)
+    return SecrecyScore(claimed, left.bits, name, exceeds, of, left.why, failed, left.silent)
 
 
 def rate_in_words(state: State) -> str:
-    """The rate with its unit, and how much of it may be secret at most."""
-    rate = rate_of(state)
-    if rate is None:
+    """Message bits per second of plant time, over the session, and how many may be secret at most.
+
+    The rate is a count of what was sent, and no estimate: it has no interval.
+    """
+    plant, model = state.plant, state.model
+    if plant is None or model is None:
         return "- bit/s"
+    seconds, symbols = plant.step.k * model.period_s, plant.step.symbols
+    rate = symbols * math.log2(state.candidates) / seconds if seconds else 0.0
     its, hers = secrecy(state), attacker(state)
-    if state.plant is not None and state.plant.keys_made and not its.claimed_bits:
-        broken = hers is not None and (hers.key_bits_held or hers.claim_refuted)
+    if plant.keys.made and not its.claimed_bits:
+        broken = hers is not None and (hers.bits or hers.refuted)
         return f"{number(rate)} bit/s, {'not secret' if broken else 'secret if the claim holds'}"
     if its.left_bits is None or not its.claimed_bits:
         return f"{number(rate)} bit/s, secret: unknown"
@@ -254,10 +181,10 @@ def rate_in_words(state: State) -> str:
     return f"{number(rate)} bit/s, at most {number(secret)} secret"
 
 
-def attacker(state: State) -> TapStatus | None:
-    """The tap that holds most of the keys, of those that go for them."""
-    trying = [tap.status for tap in state.taps.values() if tap.status.key_bits_held >= 0]
-    return max(trying, key=lambda its: its.key_bits_held, default=None)
+def attacker(state: State) -> KeysHeld | None:
+    """What the tap holds that holds most of the keys, of those that go for them."""
+    held = [keys for tap in state.taps.values() if (keys := tap.status.keys) is not None]
+    return max(held, key=lambda keys: keys.bits, default=None)
 
 
 def contradictions(state: State) -> Iterator[str]:
@@ -265,27 +192,23 @@ def contradictions(state: State) -> Iterator[str]:
     hers = attacker(state)
     if hers is None:
         return
-    if hers.claim_refuted:
-        of = f" of the {drawn(hers.missed_direction)}" if hers.missed_direction else ""
-        yield f"CLAIM REFUTED: Eve misses {hers.missed_at_most:.2g}{of} at most"
-    if hers.misses_in_bursts:
+    if hers.refuted:
+        of = f" of the {drawn(hers.direction)}" if hers.direction else ""
+        yield f"CLAIM REFUTED: Eve misses {hers.at_most:.2g}{of} at most"
+    if hers.bursts:
         yield "MISSES IN BURSTS"
 
 
 def truth_for(state: State, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
-    best, best_right = state.sent, _right(state.sent, text)
-    for truth in state.texts:
-        right = _right(truth, text)
-        if right > best_right:
-            best, best_right = truth, right
-    return best
+    return max((state.sent, *state.texts), key=lambda truth: _right(truth, text))
 
 
 def characters_right(state: State, tap: TapState) -> tuple[int, int]:
     """How many characters of the tap's message are right, and how many the true message has."""
-    truth = truth_for(state, tap.status.message)
-    return _right(truth, tap.status.message), len(letters(truth))
+    text = tap.status.belief.message
+    truth = truth_for(state, text)
+    return _right(truth, text), len(letters(truth))
 
 
 def _right(truth: str, text: str) -> int:

@@ -6,16 +6,21 @@ from typing import Final
 
 from rich.text import Text
 
+from protocol.relabelling import KnownSymbols
+from protocol.statistics import bits_left
 from wyner.dashboard.model import State, TapState
-from wyner.dashboard.parts import VALUE_AT, labelled, line
-from wyner.dashboard.score import (
-    Score,
-    SecrecyScore,
-    attacker,
-    characters_right,
-    contradictions,
+from wyner.dashboard.score import SecrecyScore, attacker, characters_right, contradictions
+from wyner.dashboard.text import (
+    LEVELS,
+    STYLES,
+    VALUE_AT,
+    count,
+    drawn,
+    labelled,
+    line,
+    longest,
+    percent,
 )
-from wyner.dashboard.text import LEVELS, STYLES, count, drawn, figure, longest, percent
 
 BARS: Final = 30
 """Cells of the bar of the bits that the paper's rule counts."""
@@ -58,34 +63,34 @@ def distilled(state: State, width: int) -> list[Text]:
     Nothing where the scenario makes none.
     """
     plant, model = state.plant, state.model
-    if plant is None or model is None or not (model.keys_claim or plant.keys_refused):
+    if plant is None or model is None or not (model.keys_claim or plant.keys.refused):
         return []
+    its = plant.keys
     room = width - VALUE_AT
-    claim, refused = drawn(model.keys_claim), drawn(plant.keys_refused)
-    if refused and not plant.keys_made:
+    claim, refused = drawn(model.keys_claim), drawn(its.refused)
+    if refused and not its.made:
         none = line(f"none: {refused}", STYLES["bad"])
         return [labelled("distilled keys", none), labelled("assumption", line(claim))]
-    seconds = plant.key_block_steps * model.period_s
-    rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
-    n = plant.key_blocks_lost
-    lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
-    of = "key" if plant.keys_made == 1 else "keys"
-    keys = line(f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}")
+    seconds = its.block_steps * model.period_s
+    rate = 256 * its.of_block / seconds if seconds else 0.0
+    lost = f"{count(its.lost)} {'block' if its.lost == 1 else 'blocks'} lost; " if its.lost else ""
+    of = "key" if its.made == 1 else "keys"
+    keys = line(f"{count(its.made)} {of}, {rate:.0f} bit/s; {lost}")
     hers, style = held(state, room - keys.cell_len)
     keys.append(hers, style=STYLES[style])
     against = list(contradictions(state))
-    if plant.keys_stopped:
-        against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
-    elif state.controller is not None and state.controller.keys_stopped:
-        against.insert(0, f"STOPPED at the controller: {drawn(state.controller.keys_stopped)}")
+    if its.stopped:
+        against.insert(0, f"STOPPED: {drawn(its.stopped)}")
+    elif state.controller is not None and state.controller.keys.stopped:
+        against.insert(0, f"STOPPED at the controller: {drawn(state.controller.keys.stopped)}")
     if refused:
         against.insert(0, f"refused: {refused}")
     rests_on = line("; ".join(against), STYLES["bad"])
     rests_on.append(f"; {claim}" if against else claim, "default")
     rows = [labelled("distilled keys", keys), labelled("assumption", rests_on)]
-    if plant.key_blocks_begun and not refused:
-        distance = f"{model.keys_eps * plant.key_blocks_begun:.2g} from perfect keys"
-        text = f"{count(plant.key_blocks_begun)}: together {distance} at most"
+    if its.begun and not refused:
+        distance = f"{model.keys_eps * its.begun:.2g} from perfect keys"
+        text = f"{count(its.begun)}: together {distance} at most"
         rows.append(labelled("blocks begun", line(text)))
     return rows
 
@@ -95,39 +100,37 @@ def held(state: State, room: int) -> tuple[str, str]:
     hers = attacker(state)
     if hers is None:
         return longest(room, "no tap goes for them"), "label"
-    made = state.plant is not None and state.plant.keys_made > 0
-    holds = "holds" if made or not hers.key_bits_held else "would hold"
-    bits = f"Eve {holds} {count(hers.key_bits_held)} bits"
-    of = f"{bits} of {count(hers.key_blocks)} blocks"
-    share = f"missed {percent(hers.copies_missed, hers.copies)}"
-    missed = share if hers.copies or not hers.copies_absent else "was not there"
-    return longest(room, f"{of}, {missed}", of, bits), "bad" if hers.key_bits_held else "good"
+    made = state.plant is not None and state.plant.keys.made > 0
+    holds = "holds" if made or not hers.bits else "would hold"
+    bits = f"Eve {holds} {count(hers.bits)} bits"
+    of = f"{bits} of {count(hers.blocks)} blocks"
+    share = f"missed {percent(hers.missed, hers.copies)}"
+    missed = share if hers.copies or not hers.absent else "was not there"
+    return longest(room, f"{of}, {missed}", of, bits), "bad" if hers.bits else "good"
 
 
 HEADING: Final = "keys found % secret bit/key letters right  whole at step"
 
 
-def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]]) -> list[Text]:
+def eavesdroppers(state: State, shown: Sequence[tuple[TapState, KnownSymbols]]) -> list[Text]:
     """A row for each tap."""
     lines = [labelled("eavesdropper", line(HEADING, STYLES["label"]))]
     for tap, its in shown:
-        bits, right = figure(its.bits_per_key), _message_right(state, tap)
-        row = f"{keys_right(its):>12} {bits:>14} {right:>13} {_broke(tap):>14}"
+        left = bits_left(1, state.candidates, its.share)
+        bits = f"{left.high:.2f}" if its.of else "-"
+        right, total = characters_right(state, tap)
+        letters = longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
+        row = f"{keys_right(its):>12} {bits:>14} {letters:>13} {_broke(tap):>14}"
         lines.append(labelled(tap.status.name, line(row)))
     return lines if shown else [*lines, line(" none")]
 
 
-def _message_right(state: State, tap: TapState) -> str:
-    right, total = characters_right(state, tap)
-    return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
-
-
-def keys_right(its: Score) -> str:
+def keys_right(its: KnownSymbols) -> str:
     """The share of keys that Eve knows, up to a relabelling, in per cent, with its limits."""
-    if not its.scored:
+    if not its.of:
         return "-"
-    low, high = int(100 * its.guessed.low), math.ceil(100 * its.guessed.high)
-    return f"{100 * its.right // its.scored} [{low},{high}]"
+    low, high = int(100 * its.share.low), math.ceil(100 * its.share.high)
+    return f"{100 * its.right // its.of} [{low},{high}]"
 
 
 BEHIND: Final = 0.1
@@ -137,7 +140,7 @@ BEHIND: Final = 0.1
 def _broke(tap: TapState) -> str:
     if tap.status.failed:
         return "FAILED, exact" if tap.exact else "FAILED"
-    solved = tap.status.solved_k
+    solved = tap.status.belief.solved_k
     if solved < 0 and tap.exact:
         return "exact, unsure"
     if solved < 0:

@@ -1,8 +1,8 @@
-"""Where the dashboard's messages come from: two buses, or a script for tests and pictures."""
+"""Where the dashboard's messages come from: two buses."""
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
 
@@ -16,26 +16,6 @@ if TYPE_CHECKING:
 
 WAITING_AT_MOST: Final = 32 * 2**20
 """Bytes held between two looks; what comes beyond is dropped and counted."""
-
-MANAGEMENT_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
-ADVERSARY_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
-
-
-class Source(Protocol):
-    """Gives the messages that came since it was last asked, and never waits."""
-
-    @property
-    def malformed(self) -> int:
-        """Payloads that were no message of their key."""
-
-    def drain(self) -> Sequence[Arrival]:
-        """All that came since the last call, oldest first."""
-
-    def now_ns(self) -> int:
-        """The time now, of the clock that arrivals are stamped with."""
-
-    def problems(self) -> Sequence[str]:
-        """What went wrong so far, one line each, to be repeated after the screen closes."""
 
 
 class BusSource:
@@ -56,43 +36,35 @@ class BusSource:
         self._types: dict[str, type[Message]] = {}
         self._waiting: Inbox[tuple[str, bytes, int]] = Inbox(WAITING_AT_MOST)
         self._malformed = 0
-        for bus, types in (
-            (management_bus, MANAGEMENT_WATCHED),
-            (adversary_bus, ADVERSARY_WATCHED),
-        ):
-            for message_type in types:
-                key = key_of(message_type, loop)
-                self._types[key] = message_type
-                bus.subscribe(key, self._deliver)
+        for kind in (PlantModel, PlantStatus, ControllerStatus, TapStatus):
+            key = key_of(kind, loop)
+            self._types[key] = kind
+            bus = adversary_bus if kind is TapStatus else management_bus
+            bus.subscribe(key, self._deliver)
 
     def _deliver(self, key: str, payload: bytes, _sent_ns: int) -> None:
         # On a foreign thread.
         self._waiting.put((key, payload, time.monotonic_ns()), len(payload))
 
-    @property
-    def malformed(self) -> int:
-        """Payloads that were no message of their key."""
-        return self._malformed
-
     def drain(self) -> Sequence[Arrival]:
-        """Parse all that is waiting; malformed is counted and left out."""
+        """All that came since the last call, parsed, oldest first; it never waits."""
         arrivals = []
         for _ in range(len(self._waiting)):
             key, payload, t_ns = self._waiting.get(0.0)
+            message: Message | None = None
             try:
                 message = self._types[key].model_validate_json(payload)
             except (ValidationError, KeyError):
                 self._malformed += 1
-                continue
             arrivals.append(Arrival(t_ns, message))
         return arrivals
 
     def now_ns(self) -> int:
-        """The monotonic clock."""
+        """The time now, of the clock that arrivals are stamped with."""
         return time.monotonic_ns()
 
     def problems(self) -> Sequence[str]:
-        """Garbage and overflow, if there was any."""
+        """What went wrong so far, a line each, to be repeated after the screen closes."""
         lines = []
         if self._malformed:
             lines.append(f"dashboard: {self._malformed} payloads were no message of their key")

@@ -22,9 +22,9 @@ Caption = tuple[str, ...]
 
 def _agreement(state: State) -> Facts | None:
     shown = state.pictured
-    if shown is None or shown.pictured_symbol < 0:
+    if shown is None or shown.symbol < 0:
         return None
-    return {"step": shown.pictured_k, "key": shown.pictured_symbol}
+    return {"step": shown.k, "key": shown.symbol}
 
 
 def _message_symbol(state: State) -> Facts | None:
@@ -38,26 +38,28 @@ def _message_symbol(state: State) -> Facts | None:
 def _nearest_centre(state: State) -> Facts | None:
     tap = state.taps.get("nearest-centre")
     its = None if tap is None else score(state, tap)
-    if its is None or its.scored < ENOUGH:
+    if its is None or its.of < ENOUGH:
         return None
-    return {"right": its.right, "scored": its.scored}
+    return {"right": its.right, "scored": its.of}
 
 
 def _list(state: State) -> Facts | None:
     tap = state.taps.get("list-decoder")
-    if tap is None or tap.status.candidates_left < 2 or not tap.status.message.strip("·"):
+    belief = None if tap is None else tap.status.belief
+    if belief is None or belief.candidates_left < 2 or not belief.message.strip("·"):
         return None
-    return {"left": tap.status.candidates_left}
+    return {"left": belief.candidates_left}
 
 
 def _whole(state: State) -> Facts | None:
     plant = state.plant
     for name, tap in state.taps.items():
-        if tap.exact and tap.status.solved_k >= 0:
-            both = plant is not None and plant.last_message == tap.status.message
-            k = plant.message_k if plant is not None and both else -1
+        belief = tap.status.belief
+        if tap.exact and belief.solved_k >= 0:
+            both = plant is not None and plant.secrets.last_message == belief.message
+            k = plant.frame.message_k if plant is not None and both else -1
             had = f"The plant has had it since step {k}." if k >= 0 else ""
-            return {"name": name, "solved": tap.status.solved_k, "had": had}
+            return {"name": name, "solved": belief.solved_k, "had": had}
     return None
 
 

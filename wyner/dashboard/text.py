@@ -1,12 +1,17 @@
-"""Words and figures: short numbers, sparklines, nothing that could move a cursor."""
+"""Words, figures and lines: short numbers, sparklines, nothing that could move a cursor.
+
+Every panel is a list of lines of rich's Text.
+"""
 
 import math
 import unicodedata
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import zip_longest
 from typing import Final
 
 from rich.cells import cell_len
+from rich.text import Text
 
 SYMBOLS: Final = "0123456789abcdefghijklmnopqrstuvwxyz"
 """A character for each symbol of an alphabet that has no more."""
@@ -22,7 +27,6 @@ STYLES: Final[dict[str, str]] = {
     "wrong": "underline red",
     "eavesdropper": "yellow",
     "defender": "green",
-    "centre": "bold",
     "next": "bold magenta",
     "claimed": "yellow",
     "true": "green",
@@ -39,16 +43,11 @@ BEYOND: Final = "▶"
 """Characters of sparklines and of the bars of the agreement test."""
 
 
-PHASES: Final[dict[tuple[str, str], str]] = {
-    ("plant", "greeting"): "plant looks for a controller",
-    ("controller", "greeting"): "controller looks for a plant",
-}
-"""What a service says of itself, in words."""
-
-
 def in_words(service: str, phase: str) -> str:
     """A service's phase for people."""
-    return PHASES.get((service, phase), f"{service} {phase}")
+    if phase == "greeting":
+        return f"{service} looks for a {'controller' if service == 'plant' else 'plant'}"
+    return f"{service} {phase}"
 
 
 def longest(room: int, *texts: str) -> str:
@@ -118,6 +117,37 @@ def percent(right: int, scored: int) -> str:
     return f"{100 * right // scored} %" if scored else "-"
 
 
-def figure(value: float | None) -> str:
-    """A figure with two decimals, or a dash where there is none."""
-    return "-" if value is None else f"{value:.2f}"
+LABEL: Final = 14
+"""Cells of the labels at the left."""
+
+VALUE_AT: Final = LABEL + 2
+"""The cell at which a labelled value begins."""
+
+
+def line(text: str = "", style: str = "") -> Text:
+    """One line that is never wrapped, but cut where there is no room."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def rule(title: str, width: int, *notes: str, style: str = "") -> Text:
+    """A titled rule, with the longest of the notes that there is room for."""
+    note = longest(width - cell_len(title) - 4, *notes)
+    text = line(title, STYLES["title"]).append(f"  {note}" if note else "", style or "default")
+    return text.append(" " + "─" * max(0, width - text.cell_len - 1), "cyan")
+
+
+def labelled(label: str, value: Text) -> Text:
+    """A label in its column, and its value."""
+    name = line(drawn(label), STYLES["label"])
+    name.truncate(LABEL, overflow="ellipsis", pad=True)
+    return line(" ").append(name).append(" ").append(value)
+
+
+def beside(left: Sequence[Text], right: Sequence[Text], width: int) -> list[Text]:
+    """Two panels side by side, the left one ``width`` cells wide."""
+    lines = []
+    for one, other in zip_longest(left, right, fillvalue=line()):
+        whole = one.copy()
+        whole.truncate(width, overflow="ellipsis", pad=True)
+        lines.append(whole.append(" ").append(other))
+    return lines

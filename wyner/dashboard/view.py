@@ -5,7 +5,7 @@ takes the room, the message goes, then the loop.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Final
@@ -15,20 +15,24 @@ from rich.console import Group
 from rich.text import Text
 
 from wyner.dashboard.model import State
-from wyner.dashboard.parts import VALUE_AT, beside, labelled, line, rule
 from wyner.dashboard.picture import agreement
 from wyner.dashboard.score import ranked, rate_in_words, secrecy, truth_for
 from wyner.dashboard.secrecy_panel import amounts, distilled, eavesdroppers, explanation
 from wyner.dashboard.text import (
     LEVELS,
     STYLES,
+    VALUE_AT,
+    beside,
     component,
     count,
     drawn,
     in_words,
+    labelled,
     letters,
+    line,
     longest,
     number,
+    rule,
     sparkline,
     symbol_of,
 )
@@ -41,6 +45,9 @@ SILENT_AFTER_NS: Final = 2_000_000_000
 
 LOOP_ROWS: Final = 9
 """Lines of the panel of the loop on a screen of 24."""
+
+HISTORY: Final = 240
+"""States of the history, at least as many as the widest sparkline shows."""
 
 TOO_MANY: Final = 20
 """One missed step in so many is shown as trouble."""
@@ -108,7 +115,7 @@ class _Page:
     def __init__(self, state: State, width: int, view: ViewState, now_ns: int) -> None:
         self.state, self.width, self.view, self.now_ns = state, width, view, now_ns
         self.taps = ranked(state)
-        self.secrecy = secrecy(state, self.taps)
+        self.secrecy = secrecy(state)
 
     def body(self, height: int) -> list[Text]:
         """The panels that fit; the loop and its picture grow with the screen."""
@@ -173,8 +180,8 @@ class _Page:
             about.append(f"session {plant.session[:8]}")
             if model is not None and model.seeded:
                 parts.append("SEEDED: no secret")
-            if plant.frames_refused:
-                parts.append(f"{count(plant.frames_refused)} frames refused")
+            if plant.frame.refused:
+                parts.append(f"{count(plant.frame.refused)} frames refused")
             if plant.attack:
                 parts.append(f"ATTACK: {drawn(plant.attack)}")
         if controller is not None and controller.phase != "running":
@@ -186,14 +193,10 @@ class _Page:
 
     def _silent(self) -> list[str]:
         """The services whose statuses stopped without a last one that says so."""
-        state, seen = self.state, {}
-        if state.plant is not None and state.plant.phase != "stopped":
-            seen["plant"] = state.plant_seen_ns
-        if state.controller is not None and state.controller.phase != "stopped":
-            seen["controller"] = state.controller_seen_ns
-        if state.taps:
-            seen["tap"] = max(tap.seen_ns for tap in state.taps.values())
-        return [name for name, at in seen.items() if self.now_ns - at > SILENT_AFTER_NS]
+        ends = {"plant": self.state.plant, "controller": self.state.controller}
+        over = {name for name, end in ends.items() if end is not None and end.phase == "stopped"}
+        heard = [name for name in (*ends, "tap") if name in self.state.seen and name not in over]
+        return [n for n in heard if self.now_ns - self.state.seen[n] > SILENT_AFTER_NS]
 
     def footer(self) -> Text:
         """One line: how to go on, a note, or the keys."""
@@ -228,22 +231,22 @@ class _Page:
         if plant is None:
             waiting = [line(" no word from the plant yet"), *[line()] * 4]
             return [rule("Control loop", width), *waiting, *self.keys(width)]
-        notes = [f"wrong keys {count(plant.symbol_errors)}"]
+        counts, wrong = plant.step, plant.step.symbol_errors
+        notes = [f"wrong keys {count(wrong)}"]
         if plant.sessions > 1:
             notes.insert(0, f"{notes[0]}  session {count(plant.sessions)}")
-        title = rule(
-            "Control loop", width, *notes, style=STYLES["bad"] if plant.symbol_errors else ""
-        )
-        pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
-        seconds = "" if model is None else f"  {plant.k * model.period_s:.1f} s"
-        missed = f"  missed {count(plant.missed)}" if plant.missed else ""
+        title = rule("Control loop", width, *notes, style=STYLES["bad"] if wrong else "")
+        rate_hz = plant.timing.rate_hz
+        pace = f"  {longest(7, f'{rate_hz:.1f}', number(rate_hz))} steps/s"
+        seconds = "" if model is None else f"  {counts.k * model.period_s:.1f} s"
+        missed = f"  missed {count(counts.missed)}" if counts.missed else ""
         room = width - cell_len(missed)
-        begun = f" step {plant.k}"
+        begun = f" step {counts.k}"
         step = line(longest(room, f"{begun}{seconds}{pace}", f"{begun}{pace}", begun))
-        bad = plant.missed * TOO_MANY > plant.transitions + plant.missed
+        bad = counts.missed * TOO_MANY > counts.transitions + counts.missed
         step.append(missed, STYLES["bad"] if bad else "")
         rate = line(f" {rate_in_words(self.state)}")
-        states = self._states(plant.x, width, height - LOOP_ROWS + 2)
+        states = self._states(counts.x, width, height - LOOP_ROWS + 2)
         return [title, step, *states, rate, self._control(width), *self.keys(width)]
 
     def _control(self, width: int) -> Text:
@@ -274,17 +277,19 @@ class _Page:
 
         Of an attacked plant the true component, with its history, stands beside the reported one.
         """
-        state, attacked = self.state, bool(self.state.true_states)
-        lines = []
+        truths, lines = [self.state.truths[k] for k in sorted(self.state.truths)], []
+        attacked = bool(truths and truths[-1].true_x_next)
+        history = [row.true_x_next if attacked else row.x for row in truths[-HISTORY:]]
         for i, value in enumerate(x):
-            told = f" x{i + 1}  {component(value, '+'):>8}  "
+            values = [state[i] for state in history if i < len(state)]
             if attacked:
                 told = f" x{i + 1} reported {component(value, '+'):>8}, true "
-            room = max(0, width - len(told) - (9 if attacked else 0))
-            history = _history(state.true_states if attacked else state.states, i, room)
-            if attacked:
-                told += f"{component(history[-1], '+') if history else '':>8} "
-            lines.append(line(told + sparkline(history[-room:] if room else [], LEVELS)))
+                told += f"{component(values[-1], '+'):>8} "
+            else:
+                told = f" x{i + 1}  {component(value, '+'):>8}  "
+                values.append(value)
+            room = max(0, width - len(told))
+            lines.append(line(told + sparkline(values[-room:] if room else [], LEVELS)))
         if len(lines) > rows:
             lines[rows - 1 :] = [line(f" and {len(lines) - rows + 1} more states")]
         return lines + [line()] * (2 - len(lines))
@@ -299,7 +304,7 @@ class _Page:
         size = self.state.candidates
         wide = len(symbol_of(0, size))
         agreed = agreed[-(max(0, width - VALUE_AT) // wide) :]
-        total = plant.agreements if plant else 0
+        total = plant.step.agreements if plant else 0
         truth = "".join(symbol_of(truths[k].symbol, size) for k in agreed)
         first = labelled(f"{count(total)} {'key' if total == 1 else 'keys'}", line(truth))
         if not self.taps:
@@ -347,19 +352,21 @@ class _Page:
         """Sent, recovered and what Eve has, one below the other, wrong characters marked with ^."""
         state = self.state
         sent, recovered = letters(state.sent), letters(state.recovered)
-        start = self._start(sent, len(recovered))
+        room = self.width - VALUE_AT
+        start = min(max(0, len(recovered) - room * 3 // 4), max(0, len(sent) - room))
         note = f"{len(recovered)} of {len(sent)} characters"
-        if its := state.controller:
-            note += f"; messages delivered: {count(its.delivered)}, waiting: {count(its.queue)}"
+        if (controller := state.controller) is not None:
+            frame = controller.frame
+            note += f"; messages delivered: {count(frame.delivered)}, waiting: {count(frame.queue)}"
         lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
-        tap = next((tap for tap, _ in self.taps if tap.status.key_bits_held < 0), None)
+        tap = next((tap for tap, _ in self.taps if tap.status.keys is None), None)
         if tap is None:
             return [*lines, *(labelled(text, line()) for text in _NO_TAP)]
-        truth = letters(truth_for(state, tap.status.message))
+        hers = letters(tap.status.belief.message)
+        truth = letters(truth_for(state, tap.status.belief.message))
         same = truth == sent
-        hers = letters(tap.status.message)
         hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
         guess, marks = self._marked(hers, truth, start if same else 0)
         lines.append(labelled(tap.status.name, guess))
@@ -367,11 +374,6 @@ class _Page:
             return [*lines, labelled("FAILED", line(drawn(tap.status.failed), STYLES["bad"]))]
         wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
         return [*lines, labelled(wrong if same else f"{wrong}, old", marks)]
-
-    def _start(self, sent: str, grown: int) -> int:
-        """The first character shown of a message that has grown so far."""
-        room = self.width - VALUE_AT
-        return min(max(0, grown - room * 3 // 4), max(0, len(sent) - room))
 
     def _marked(self, text: str, truth: str, start: int) -> tuple[Text, Text]:
         """The characters that there is room for, and a ^ for each that is wrong."""
@@ -394,8 +396,3 @@ def _indent(text: str) -> str:
     """What a line goes on below: its text where it has a label."""
     label = _LABEL.match(text)
     return " " * (len(label[0]) if label else 3)
-
-
-def _history(states: Mapping[int, Sequence[float]], i: int, bars: int) -> list[float]:
-    """The last values of component ``i``, for so many bars: one at least."""
-    return [states[k][i] for k in sorted(states) if i < len(states[k])][-max(1, bars) :]

@@ -54,7 +54,7 @@ class RunStatus:
             **self.written,
             "claim": self.claim,
             "distance": self.distance,
-            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED},
+            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
             "warnings": list(self.warnings),
         }
 
@@ -112,15 +112,23 @@ def _status_of(run_dir: Path) -> RunStatus:
             controller = read_status(paths["controller"], ControllerStatus)
     except ValidationError as error:
         raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
-    claim, distance = _claim(run_dir)
-    distance *= 0 if plant is None else plant.key_blocks_begun
-    lines = [*_of_plant(plant, claim, distance), *_of_controller(controller)]
+    claim, of_one = _claim(run_dir)
+    distance = 0.0 if plant is None else of_one * plant.keys.begun
+    lines: list[str] = []
+    warnings: list[str] = []
+    if not all(end is None or end.phase == "stopped" for end in (plant, controller)):
+        warnings += _silences(written)
+    if plant is not None:
+        lines += _of_plant(plant, claim, distance)
+        warnings += _warnings_of_plant(plant)
+    if controller is not None:
+        lines += _of_controller(controller)
+        warnings += _warnings_of_controller(controller)
+        stopped = controller.keys.stopped
+        if stopped and (plant is None or not plant.keys.stopped):
+            warnings.append(f"keys stopped at the controller: {stopped}")
     others = [name for name in written if name not in ("plant", "controller")]
     lines += [f"{name:<12}{written[name].get('health', 'reports')}" for name in others]
-    over = all(end is None or end.phase == "stopped" for end in (plant, controller))
-    warnings = [] if over else list(_silences(written))
-    warnings += _warnings_of_plant(plant)
-    warnings += _warnings_of_controller(controller, plant)
     warnings += _warnings_of_taps(run_dir)
     return RunStatus(written, claim, distance, tuple(lines), tuple(warnings))
 
@@ -160,65 +168,54 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _of_plant(plant: PlantStatus | None, claim: str, distance: float) -> Iterator[str]:
-    if plant is None:
-        return
-    lost = f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else ""
-    why = plant.keys_refused or claim
+def _of_plant(plant: PlantStatus, claim: str, distance: float) -> Iterator[str]:
+    step, keys = plant.step, plant.keys
+    lost = f", blocks lost: {keys.lost}" if keys.lost else ""
+    why = keys.refused or claim
     yield (
-        f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
-        f"messages, {plant.agreements} keys agreed"
+        f"plant       {plant.phase}, step {step.k}, {step.missed} missed, {plant.frame.messages} "
+        f"messages, {step.agreements} keys agreed"
     )
-    yield f"keys        {plant.keys_made} distilled{lost}{f'; {why}' if why else ''}"
-    if plant.key_blocks_begun and not plant.keys_refused:
+    yield f"keys        {keys.made} distilled{lost}{f'; {why}' if why else ''}"
+    if keys.begun and not keys.refused:
         yield (
-            f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
+            f"blocks      {keys.begun} begun, void and aborted ones too: together "
             f"{distance:.2g} from perfect keys at most"
         )
 
 
-def _of_controller(controller: ControllerStatus | None) -> Iterator[str]:
-    if controller is None:
-        return
+def _of_controller(controller: ControllerStatus) -> Iterator[str]:
+    frame, keys, alarms = controller.frame, controller.keys, controller.alarms
     yield (
-        f"controller  {controller.phase}, {controller.transitions} transitions counted, "
-        f"{controller.delivered} delivered, {controller.queue} queued, "
-        f"{controller.keys_made} keys distilled"
+        f"controller  {controller.phase}, {controller.step.transitions} transitions counted, "
+        f"{frame.delivered} delivered, {frame.queue} queued, {keys.made} keys distilled"
     )
-    if controller.watched + controller.unwatched:
+    if alarms.watched + alarms.unwatched:
         yield (
-            f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, "
-            f"{controller.digits_left} digits left"
+            f"keyed coin  {alarms.watched} steps watched, {alarms.unwatched} not, "
+            f"{keys.digits_left} digits left"
         )
 
 
-def _warnings_of_plant(plant: PlantStatus | None) -> list[str]:
-    if plant is None:
-        return []
-    found = [plant.detail] if plant.detail else []
-    if plant.outside:
-        found.append(f"d was outside D_c in {plant.outside} steps")
-    if plant.symbol_errors:
-        found.append(f"{plant.symbol_errors} agreed keys are not the input that was applied")
-    if plant.keys_stopped:
-        found.append(f"keys stopped: {plant.keys_stopped}")
-    if plant.keys_refused:
-        found.append(f"keys: {plant.keys_refused}")
-    return found
+def _warnings_of_plant(plant: PlantStatus) -> Iterator[str]:
+    step, keys = plant.step, plant.keys
+    if plant.detail:
+        yield plant.detail
+    if step.outside:
+        yield f"d was outside D_c in {step.outside} steps"
+    if step.symbol_errors:
+        yield f"{step.symbol_errors} agreed keys are not the input that was applied"
+    if keys.stopped:
+        yield f"keys stopped: {keys.stopped}"
+    if keys.refused:
+        yield f"keys: {keys.refused}"
 
 
-def _warnings_of_controller(
-    controller: ControllerStatus | None, plant: PlantStatus | None
-) -> list[str]:
-    if controller is None:
-        return []
-    alarms = controller.alarm_sentence()
-    found = [alarms] if alarms else []
-    if controller.unexplained:
-        found.append(f"{controller.unexplained} transitions that no candidate explains")
-    if controller.keys_stopped and (plant is None or not plant.keys_stopped):
-        found.append(f"keys stopped at the controller: {controller.keys_stopped}")
-    return found
+def _warnings_of_controller(controller: ControllerStatus) -> Iterator[str]:
+    if alarms := controller.alarms.sentence():
+        yield alarms
+    if controller.step.unexplained:
+        yield f"{controller.step.unexplained} transitions that no candidate explains"
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:

@@ -9,13 +9,14 @@ from typing import Any
 from pydantic_core import from_json
 
 from protocol.knowledge import Knowledge
+from protocol.messages.adversary import UnusedStatus
 from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, KnowledgeError, named
 from tap_service.listening import Listeners
-from tap_service.status import NO_COUNTS, report_of
+from tap_service.status import report_of
 from wyner.runs.score.plain import plain
 from wyner.runs.score.report import held_line, unused_in_words
 from wyner.runs.score.score import Guesses, TapOutput
@@ -64,10 +65,11 @@ def hear_again(path: Path, names: Sequence[str], scenario: Scenario | None = Non
         listeners.hear(message)
     reader.finish()
     listeners.finish()
-    lost = {"malformed": reader.malformed, "dropped": reader.torn}
     transcript = listeners.transcript
-    counts = NO_COUNTS | lost | transcript.unused._asdict()
-    reports = [report_of(listeners.session, x, counts, last=True) for x in listeners.listeners]
+    unused = UnusedStatus(
+        **transcript.unused._asdict(), dropped=reader.torn, malformed=reader.malformed
+    )
+    reports = [report_of(listeners.session, x, unused, last=True) for x in listeners.listeners]
     return Decoded(
         reader,
         transcript,

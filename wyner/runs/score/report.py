@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from protocol.messages.adversary import KeysHeld
 from protocol.relabelling import Labels, in_words, known
 from protocol.statistics import (
     CONFIDENCE,
@@ -16,7 +17,6 @@ from protocol.statistics import (
     share_over_runs,
     stated_left,
 )
-from tap_service.eavesdroppers.base import KeysHeld
 from wyner.runs.score.plain import plain
 from wyner.runs.score.score import UNFINISHED, EavesdropperScore, Proportion, RunScore, Truth
 

@@ -19,12 +19,13 @@ from typing import Any, Final
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
+from protocol.messages.adversary import KeysHeld
 from protocol.relabelling import KnownSymbols, Pairs, known, pairs_of
 from protocol.text import printable
 from runtime.recording import TraceError
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError
-from tap_service.eavesdroppers.base import KEPT_SYMBOLS, Belief, KeysHeld, MessageSymbols
+from tap_service.eavesdroppers.base import KEPT_SYMBOLS, Belief, MessageSymbols
 from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
@@ -102,7 +103,7 @@ class TapOutput:
     Where she was not ``heard_out``, nobody asked her for the message's symbols. ``behind`` counts
     the steps captured that she never looked at. ``holes`` are the steps of which the tap lacked a
     message although its link to the loop loses none; ``unused`` counts what it could not use
-    (:data:`tap_service.status.UNUSED`).
+    (:class:`protocol.messages.adversary.UnusedStatus`).
     """
 
     name: str
