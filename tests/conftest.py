@@ -71,7 +71,6 @@ LONGEST = (
     "fit/test_noisy_fit.py",
     "runs/test_memory.py",
     "benchmarks/test_loop.py",
-    "runs/check/test_evidence.py",
     "controller/test_packed.py",
     "examples/test_examples.py",
     "protocol/test_statistics.py",
