@@ -277,7 +277,7 @@ class LiveLoop:
         path = self.run_dir / CONTROLLER_STATUS
         with suppress(OSError, ValueError, KeyError):
             if path.stat().st_mtime > since_s:
-                return int(json.loads(path.read_bytes())["delivered"])
+                return int(json.loads(path.read_bytes())["frame"]["delivered"])
         return -1
 
     def stop(self) -> list[str]:

@@ -38,8 +38,13 @@ from wyner.runs.check.evidence import read_evidence
 from wyner.runs.seal import READ, SEAL_ALONE, broken, evidence_below, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
-    CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
-    PLANT_STATUS: {"k": 60, "x": [0.5, 1e-3], "last_message": "", "tail_symbol": [-1, 1]},
+    CONTROLLER_STATUS: {
+        "step": {"k": 60},
+        "frame": {"queue": 0},
+        "session": "1" * 16,
+        "phase": "x",
+    },
+    PLANT_STATUS: {"step": {"k": 60, "x": [0.5, 1e-3]}, "sessions": 1},
     TAP_STATUS: {"t_ns": 0, "first_part": 0, "captured": 120, "dropped": 0},
     BELIEFS: {"text": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
     SUMMARY: {"delivered": True, "bits_per_second": 1.5, "taps": {"oracle": {"solved_k": 7}}},
@@ -196,9 +201,9 @@ def test_a_service_that_was_started_again_since_is_held_to_what_it_had_recorded(
     lines = LineWriter(run / PLANT_TRACE, {})
     lines.append(b'{"event":"session","session":null,"reason":"started"}')
     lines.close()
-    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
+    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"step": {"k": 61}})
     assert wrong(run) == {}
-    put(run, CONTROLLER_STATUS, OTHERS[CONTROLLER_STATUS] | {"k": 61})
+    put(run, CONTROLLER_STATUS, OTHERS[CONTROLLER_STATUS] | {"step": {"k": 61}})
     assert wrong(run) == {str(CONTROLLER_STATUS): "it is not as the run left it"}
     raw = (run / PLANT_TRACE).read_bytes()
     (run / PLANT_TRACE).write_bytes(raw.replace(b'"k":7,', b'"k":8,', 1))
