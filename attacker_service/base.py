@@ -60,7 +60,8 @@ class LoopModel:
     def gauge(self, d: Array) -> Array:
         """The smallest t >= 0 with d in t D_c, shape (...,)."""
         rows: Array = d @ self.disturbance_H.T / self.disturbance_h
-        return np.maximum(rows.max(-1), 0.0)
+        found: Array = np.maximum(rows.max(-1), 0.0)
+        return found
 
     @property
     def half_widths(self) -> Array:

@@ -48,8 +48,11 @@ class Sight:
         assert self._x is not None
         off = seen[..., None, :] - self._model.predict(self._x[..., None, :], candidates)
         if self._exact:
-            return self._model.gauge(off).argmin(-1)
-        return np.einsum("...i,ij,...j", off, self._precision, off).argmin(-1)
+            gauge = self._model.gauge(off)
+        else:
+            gauge = np.einsum("...i,ij,...j", off, self._precision, off)
+        nearest: Integers = gauge.argmin(-1)
+        return nearest
 
     def step(self, u: Array, seen: Array) -> None:
         """The input ``u``, shape (..., m), was applied, and ``seen`` is what came of it."""

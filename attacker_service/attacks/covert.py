@@ -49,7 +49,8 @@ class Covert(BusAttack):
         fits = np.clip(room.min((-2, -1), initial=1.0), 0.0, 1.0)
         added = fits[..., None] * self._u
         self._added = k, added
-        return candidates + added[..., None, :]
+        found: Array = candidates + added[..., None, :]
+        return found
 
     def toward_controller(self, k: int, x: Array, applied: Flags) -> Array:
         """x(k) without what Eve has done to it."""

@@ -128,9 +128,10 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
                 encoding="jsonschema",
                 data=json.dumps(kind.model_json_schema()).encode(),
             )
-            return writer.register_channel(
+            found: int = writer.register_channel(
                 topic=key_of(kind, _loop(reader)), message_encoding="json", schema_id=schema
             )
+            return found
 
         writer.add_metadata("capture", {k: json.dumps(v) for k, v in reader.header.items()})
         for t_ns, message in reader.records():

@@ -553,7 +553,8 @@ class BeamSmoother:
         """Draws of covariances ``P``, shape (..., n, n)."""
         values, vectors = np.linalg.eigh(P)
         z = np.sqrt(np.maximum(values, 0.0)) * self._rng.standard_normal(values.shape)
-        return np.einsum("...ij,...j->...i", vectors, z)
+        found: Array = np.einsum("...ij,...j->...i", vectors, z)
+        return found
 
     def _back(self, now: Mixture, ways: Sequence[Move], after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, n), and the gauges of that step, shape (S, M)."""
@@ -637,7 +638,8 @@ def _log_normal(off: Array, S: Array) -> Array:
     found = np.maximum(
         np.einsum("...i,...i->...", off, np.linalg.solve(S, off[..., None])[..., 0]), 0.0
     )
-    return -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
+    result: Array = -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
+    return result
 
 
 def _deviations(P: Array) -> Array:

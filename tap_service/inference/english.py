@@ -304,7 +304,8 @@ def _class_table() -> Codes:
 
 def class_of(values: NDArray[np.integer]) -> Codes:
     """The class of each byte."""
-    return _class_table()[values]
+    found: Codes = _class_table()[values]
+    return found
 
 
 def class_named(character: str) -> int:

@@ -62,7 +62,8 @@ def fitted_widths(along: Array) -> Array:
 
 def nearest(along: Array) -> Counts:
     """The candidate of least gauge, of each step; ``along`` as in :func:`fitted_widths`."""
-    return np.maximum(0.0, along.max(axis=2)).argmin(axis=1)
+    found: Counts = np.maximum(0.0, along.max(axis=2)).argmin(axis=1)
+    return found
 
 
 def settled_widths(along: Array, choice: Counts) -> Array:
@@ -87,7 +88,8 @@ def both_ways(rows: Array, reach: Array) -> Array:
         What was seen along each.
     """
     opposite = np.abs(rows[:, None] + rows).max(axis=2) < OPPOSITE
-    return np.maximum(reach, np.where(opposite, reach, -np.inf).max(axis=1))
+    found: Array = np.maximum(reach, np.where(opposite, reach, -np.inf).max(axis=1))
+    return found
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Shape:
 
         The largest of a step is infinite where D_e does not hold all its candidates.
         """
-        gauges = np.maximum((residuals @ self.rows.T).max(axis=-1), 0.0)
+        gauges: Array = np.maximum((residuals @ self.rows.T).max(axis=-1), 0.0)
         if self.told is None:
             return gauges
         outside = (residuals @ self.told.T).max(axis=(-2, -1)) > 1.0

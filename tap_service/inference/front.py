@@ -101,7 +101,10 @@ class Inference:
         """Of each candidate of a step heard whole, in a shape that was learned; None before."""
         if self._shape.told is None:
             return None
-        return self._shape.gauges(residuals_of(self._A, self._B, [t])[0]).tolist()
+        found: list[float] | None = self._shape.gauges(
+            residuals_of(self._A, self._B, [t])[0]
+        ).tolist()
+        return found
 
     def infer(self, transitions: Sequence[Transition]) -> Inferred:
         """Infer the transcript that is kept, in one call."""

@@ -119,20 +119,23 @@ def _regress(phi: Array, y: Array, weight: Array | None = None) -> Array:
     scaled = phi / scale
     left = scaled if weight is None else scaled * weight[:, None]
     gram = left.T @ scaled + 1e-9 * len(phi) * np.eye(phi.shape[1])
-    return np.linalg.solve(gram, left.T @ y) / scale[:, None]
+    found: Array = np.linalg.solve(gram, left.T @ y) / scale[:, None]
+    return found
 
 
 def _residuals(x: Array, candidates: Array, x_next: Array, theta: Array) -> Array:
     """Residual of every candidate, shape (N, M, n)."""
     n = x.shape[1]
     base = x_next - x @ theta[:n] - theta[-1]
-    return base[:, None, :] - candidates @ theta[n:-1]
+    found: Array = base[:, None, :] - candidates @ theta[n:-1]
+    return found
 
 
 def _choose(x: Array, candidates: Array, x_next: Array, theta: Array, widths: Array) -> Choice:
     """The candidate with the smallest residual in the shape of ``widths``."""
     size = (np.abs(_residuals(x, candidates, x_next, theta)) / widths).max(axis=2)
-    return size.argmin(axis=1)
+    found: Choice = size.argmin(axis=1)
+    return found
 
 
 def _expect(x: Array, candidates: Array, x_next: Array, theta: Array) -> tuple[Array, Array, float]:

@@ -149,7 +149,8 @@ class Lattice:
             out = np.einsum("egf,gf->e", idle, o) + np.einsum("egf,gf->e", start, i) + end
             inside = np.einsum("egf,gf->e", self.uniform[k][:, :reach], (1 - ENDS) * i + ENDS * o)
             both[0, k], both[1, k] = _log(out) + level, _log(inside + end) + level
-        return both[0]
+        outside: Array = both[0]
+        return outside
 
     def ahead(self, outside: Array, symbols: int) -> Narrow:
         """Log weight of all that follows where ``symbols`` of any kind end the message.

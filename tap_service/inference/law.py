@@ -280,7 +280,8 @@ class AffineLaw:
 
     def averaged(self, u: Array) -> Array:
         """An offer whose candidates share one input, each misread by itself, with that of all."""
-        return (u - self.g).mean(axis=0) + self.g
+        found: Array = (u - self.g).mean(axis=0) + self.g
+        return found
 
     def items(self, offer: Array, noise: float) -> list[Item]:
         """What an offer says of its state: all candidates together where they share one input."""
@@ -435,11 +436,13 @@ class PlanarLaw:
 
     def _most(self, x: Array) -> Array:
         """The largest input that the facets leave in states ``x``, shape (S,)."""
-        return (self.high[:, :2] @ x.T + self.width * self.high[:, 2:]).min(axis=0)
+        found: Array = (self.high[:, :2] @ x.T + self.width * self.high[:, 2:]).min(axis=0)
+        return found
 
     def _least(self, x: Array) -> Array:
         """The smallest, shape (S,)."""
-        return (self.low[:, :2] @ x.T + self.width * self.low[:, 2:]).max(axis=0)
+        found: Array = (self.low[:, :2] @ x.T + self.width * self.low[:, 2:]).max(axis=0)
+        return found
 
     def holds(self, x: Array) -> Flags:
         """Whether the facets leave an input in states ``x``, shape (S, 2)."""
@@ -501,7 +504,8 @@ class PlanarLaw:
             u = np.einsum("ckn,cn->ck", x, slopes) + offsets[:, None]
             answers = self.answers(x.reshape(-1, 2))[:, programs]
             off = np.abs(answers - u.reshape(-1, 1)).max(axis=1)
-            return (off <= self.error).reshape(u.shape)
+            found: Flags = (off <= self.error).reshape(u.shape)
+            return found
 
         return holds
 
@@ -535,7 +539,8 @@ class PlanarLaw:
 
     def explains(self, x: Array, u: Array) -> Array:
         """By how much the law misses answers ``u``, shape (S, V), in states ``x``."""
-        return np.abs(self.answers(x) - u).max(axis=1)
+        found: Array = np.abs(self.answers(x) - u).max(axis=1)
+        return found
 
     def blur(self, x: Array, noise: float) -> Array:
         """By how much an answer may be off where states ``x`` are read through noise, shape (S,).
@@ -543,7 +548,8 @@ class PlanarLaw:
         The standard deviation of the steepest piece that answers there, and of reading the answer.
         """
         steep = np.linalg.norm(self._slopes(x), axis=2)
-        return noise * np.sqrt(1 + steep.max(axis=1) ** 2)
+        found: Array = noise * np.sqrt(1 + steep.max(axis=1) ** 2)
+        return found
 
     def fitted(self, x: Array, u: Array) -> "PlanarLaw":
         """The width under which the law explains answers ``u`` in states ``x`` best."""

@@ -121,7 +121,8 @@ class LineSmoother:
         """
         share = weights.cumsum()
         at = (np.arange(count) + self._rng.random(count)) * (share[-1] / count)
-        return np.minimum(np.searchsorted(share, at), len(weights) - 1)
+        found: Indices = np.minimum(np.searchsorted(share, at), len(weights) - 1)
+        return found
 
     def _even(self, count: int) -> Array:
         """Disturbances drawn evenly over the support."""
@@ -166,7 +167,8 @@ class LineSmoother:
         if state is None:
             return np.ones(len(x))
         z = (x - state) / self._noise
-        return np.exp(-0.5 * (z * z).sum(axis=1)) / (2 * np.pi * self._noise**2)
+        found: Array = np.exp(-0.5 * (z * z).sum(axis=1)) / (2 * np.pi * self._noise**2)
+        return found
 
     def _thinned(self, x: Array, w: Array) -> Cloud:
         if len(x) > self._count:
@@ -436,7 +438,8 @@ class LineSmoother:
         share = weights.cumsum(axis=1)
         at = self._rng.random((len(after), 1)) * share[:, -1:]
         chosen = (share < at).sum(axis=1) // predictions.shape[1]
-        return np.minimum(chosen, len(w) - 1)
+        found: Indices = np.minimum(chosen, len(w) - 1)
+        return found
 
 
 def _largest(d: Array, rows: Array) -> Array:

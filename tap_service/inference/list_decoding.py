@@ -468,7 +468,8 @@ def _some(values: Array, most: int) -> Array:
     if len(values) <= most:
         return values
     at = np.unique(np.linspace(0, len(values) - 1, most).astype(int))
-    return values[at]
+    found: Array = values[at]
+    return found
 
 
 def _about(values: Array, some: Array, best: Array) -> Array:
@@ -477,7 +478,8 @@ def _about(values: Array, some: Array, best: Array) -> Array:
     high = np.searchsorted(some, best.max()) + 1
     first = some[max(low, 0)]
     last = some[high] if high < len(some) else values[-1]
-    return values[(values >= first) & (values <= last)]
+    found: Array = values[(values >= first) & (values <= last)]
+    return found
 
 
 def _hull(values: Array, best: Array) -> Interval:

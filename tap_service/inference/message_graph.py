@@ -355,7 +355,8 @@ def check_symbols(
         alpha /= alpha.max()
         used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
         alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
-    return out / out.sum(axis=1, keepdims=True)
+    shares: Array = out / out.sum(axis=1, keepdims=True)
+    return shares
 
 
 def judge(

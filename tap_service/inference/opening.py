@@ -148,7 +148,8 @@ def _lost(more: float) -> Integers:
     """Steps lost in each trajectory: ``more`` of them lose one, half of these another."""
     at = (np.arange(TRAJECTORIES) + 0.5) / TRAJECTORIES
     lost = np.floor(1 + np.log2(more / at)).clip(0, LOST - 1)
-    return lost.astype(int)
+    found: Integers = lost.astype(int)
+    return found
 
 
 def _applied(one: Known, rng: np.random.Generator, *, noisy: bool) -> Integers | None:

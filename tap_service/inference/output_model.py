@@ -139,7 +139,8 @@ class OutputModel:
         weights = np.exp(-0.5 * (self._cost - self._cost.min()))
         weights /= weights.sum()
         hits = self._applied[:, :, None] == np.arange(size)
-        return np.einsum("h,hkm->km", weights, hits)
+        found: Array = np.einsum("h,hkm->km", weights, hits)
+        return found
 
     def observe(self, t: Transition) -> list[float] | None:
         """Follow a transition; how far its reading is from each candidate's, in what D_e allows.

@@ -139,7 +139,8 @@ class Fit:
     @property
     def explained(self) -> Array:
         """Probability that v explains a move, shape (K, 1); never quite 0."""
-        return np.maximum(self.shares.sum(axis=1, keepdims=True), TINY)
+        found: Array = np.maximum(self.shares.sum(axis=1, keepdims=True), TINY)
+        return found
 
     @property
     def offset(self) -> Array:
@@ -333,7 +334,8 @@ def _draws(share: Array) -> Array:
     """Gauges of which the least are as often each symbol's as its probability says."""
     edges = np.cumsum(share + (1 - share.sum()) / len(share))
     choice = np.searchsorted(edges, (np.arange(SAMPLES) + 0.5) / SAMPLES * edges[-1])
-    return 1.0 - np.eye(len(share))[choice]
+    found: Array = 1.0 - np.eye(len(share))[choice]
+    return found
 
 
 def _by_costs(
@@ -345,7 +347,8 @@ def _by_costs(
     def gauges(width: float) -> Array:
         offers = free if planar is None else planar.of_width(width).offers(x)[:, :, None]
         residual = moved[:, None] - offers @ B.T
-        return np.maximum((residual @ shape.T).max(axis=2), 0.0)
+        found: Array = np.maximum((residual @ shape.T).max(axis=2), 0.0)
+        return found
 
     def left(width: float) -> float:
         return float(np.quantile(gauges(width).min(axis=1), BULK))
