@@ -23,6 +23,7 @@ MAX_PAYLOAD: Final = 2 ** (8 * LENGTH_BYTES) - 1
 WASTE: Final = 0.01
 
 
+@cache
 def digits_of(count: int, size: int) -> int:
     """The fewest base-``size`` digits that hold ``count`` bytes: of one, 8 for 2 and 6 for 3."""
     digits = max(1, math.floor(8 * count / math.log2(size)) - 1)
