@@ -12,9 +12,11 @@ from typing import TypeVar
 
 import pytest
 
+from controller_service.core import ControllerCore
 from controller_service.laws.base import CandidateLaw
-from controller_service.service import ControllerConfig, ControllerService
-from plant_service.service import PlantConfig, PlantService
+from controller_service.service import ControllerConfig, add_controller
+from plant_service.core import PlantCore
+from plant_service.service import PlantConfig, add_plant
 from protocol.messages import (
     ControllerStatus,
     Message,
@@ -28,6 +30,8 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.health import read_status
+from runtime.host import Host
+from runtime.logs import logger
 from runtime.pace import Pace
 from runtime.run_folder import (
     PLANT_STATUS,
@@ -38,7 +42,7 @@ from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.statuses import status_of
 from tests.support.traces import events_of, recovered_in
 
-Service = TypeVar("Service", PlantService, ControllerService)
+End = TypeVar("End", PlantCore, ControllerCore)
 
 
 class System:
@@ -49,7 +53,7 @@ class System:
         self.field, self.management = MemoryHub(), MemoryHub()
         self.codes: dict[str, int] = {}
         self.errors: dict[str, Exception] = {}
-        self.plant_service: PlantService | None = None
+        self.plant_core: PlantCore | None = None
         self.recovered = partial(recovered_in, run_dir)
         self._stopping: dict[str, threading.Event] = {}
 
@@ -59,7 +63,7 @@ class System:
         message: bytes | None = None,
         scenario: Scenario | None = None,
         name: str = "controller",
-    ) -> Iterator[ControllerService]:
+    ) -> Iterator[ControllerCore]:
         """With another name, one with a run folder of its own."""
         config = ControllerConfig(
             scenario or self.scenario,
@@ -69,10 +73,10 @@ class System:
             message=message,
             seed=1,
         )
-        with self._running(name, lambda stopping: ControllerService(
-            config, MemoryBus(self.field), MemoryBus(self.management), stopping
-        )) as service:  # fmt: skip
-            yield service
+        with self._running(
+            name, lambda host: add_controller(host, config, logger("controller"))
+        ) as core:
+            yield core
 
     @contextmanager
     def plant(
@@ -81,36 +85,35 @@ class System:
         steps: int | None = None,
         scenario: Scenario | None = None,
         name: str = "plant",
-    ) -> Iterator[PlantService]:
+    ) -> Iterator[PlantCore]:
         config = PlantConfig(
             scenario or self.scenario, self.folder(name), "loop", Pace(pace), steps, seed=1
         )
-        with self._running(name, lambda stopping: PlantService(
-            config, MemoryBus(self.field), MemoryBus(self.management), stopping
-        )) as service:  # fmt: skip
-            yield service
+        with self._running(name, lambda host: add_plant(host, config, logger("plant"))) as core:
+            yield core
 
     def folder(self, name: str) -> Path:
         return self.run_dir if name in ("plant", "controller") else self.run_dir / name
 
     @contextmanager
-    def _running(self, name: str, make: Callable[[threading.Event], Service]) -> Iterator[Service]:
+    def _running(self, name: str, add: Callable[[Host], End]) -> Iterator[End]:
         stopping = self._stopping[name] = threading.Event()
-        service = make(stopping)
+        host = Host(MemoryBus(self.field), MemoryBus(self.management), stopping)
+        core = add(host)
         if name == "plant":
-            assert isinstance(service, PlantService)
-            self.plant_service = service
+            assert isinstance(core, PlantCore)
+            self.plant_core = core
 
         def target() -> None:
             try:
-                self.codes[name] = service.run()
+                self.codes[name] = host.run()
             except Exception as error:
                 self.errors[name] = error
 
         thread = threading.Thread(target=target)
         thread.start()
         try:
-            yield service
+            yield core
         finally:
             stopping.set()
             thread.join(PATIENCE_S)
@@ -122,8 +125,8 @@ class System:
 
     @property
     def k(self) -> int:
-        assert self.plant_service is not None
-        return self.plant_service.endpoint.state.record.link.k
+        assert self.plant_core is not None
+        return self.plant_core.state.record.link.k
 
     wait = staticmethod(wait_for)
 
@@ -199,7 +202,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             system.wait(lambda: system.codes == {"stray": USAGE})
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            status = status_of(controller.endpoint)
+            status = status_of(controller)
             assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
     sessions = events_of(system.run_dir / PLANT_TRACE, "session")
@@ -224,15 +227,15 @@ def test_two_controllers_on_one_loop_take_turns(
         system.controller(b"one") as first,
         system.plant("x20") as plant,
     ):
-        names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
+        names = {first.instance: b"one", second.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.state.session.controller
+        mine = plant.state.session.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
-        running = first if mine == first.endpoint.instance else second
+        running = first if mine == first.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.state.session.controller == mine
+        assert plant.state.session.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
