@@ -34,8 +34,9 @@ NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 class NotRegular(OSError):
     """Something that is no regular file stands where a file was to be written or read."""
 
-    def __init__(self, path: Path, what: str = "a link, a device or a pipe") -> None:
-        super().__init__(errno.EINVAL, f"not a regular file ({what})", str(path))
+    def __init__(self, path: Path) -> None:
+        what = "not a regular file (a link, a device, a pipe or a socket)"
+        super().__init__(errno.EINVAL, what, str(path))
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -64,7 +65,7 @@ def _expect_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise NotRegular(path, "a device, a pipe or a socket")
+        raise NotRegular(path)
 
 
 def read_regular(path: Path) -> bytes:
@@ -110,10 +111,7 @@ def refuse_irregular(path: Path) -> None:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
         return
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(mode):
-        raise NotRegular(path)
+    _expect_regular(path, mode)
 
 
 def open_private(path: Path, flags: int) -> int:

@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
@@ -13,6 +14,23 @@ from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a file.
+
+    Raises
+    ------
+    UsageError
+        With one line, when it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(read_regular(path).decode())
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UsageError(f"{path}: cannot be read: {reason}") from None
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
+        raise UsageError(f"{path}: not TOML: {error}") from None
+
+
 def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario file.
 
@@ -22,15 +40,10 @@ def load_scenario(path: str | Path) -> Scenario:
         When the file cannot be read, is not TOML, or has a wrong field.
     """
     try:
-        text = read_regular(Path(path)).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
-        raise ScenarioError([f"{path}: not TOML: {error}"]) from None
-    return parse_scenario(data, str(path))
+        tables = read_toml(Path(path))
+    except UsageError as error:
+        raise ScenarioError(error.lines) from None
+    return parse_scenario(tables, str(path))
 
 
 def scenario_of(text: str) -> Scenario:
