@@ -8,10 +8,13 @@ import errno
 import os
 import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
+
+from runtime.errors import UsageError
 
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
@@ -79,6 +82,23 @@ def read_regular(path: Path) -> bytes:
     """
     with open_regular(path) as file:
         return file.read()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a file.
+
+    Raises
+    ------
+    UsageError
+        With one line, when it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(read_regular(path).decode())
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UsageError(f"{path}: cannot be read: {reason}") from None
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
+        raise UsageError(f"{path}: not TOML: {error}") from None
 
 
 def make_folder(folder: Path) -> None:

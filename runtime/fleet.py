@@ -19,7 +19,7 @@ from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
 from protocol.wrong_fields import wrong_fields
 from runtime.errors import UsageError
-from runtime.scenario_file import read_toml
+from runtime.files import read_toml
 
 SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and

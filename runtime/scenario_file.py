@@ -2,33 +2,15 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
 from runtime.errors import UsageError
-from runtime.files import read_regular, write_atomically
+from runtime.files import read_regular, read_toml, write_atomically
 from runtime.options import unwritable
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a file.
-
-    Raises
-    ------
-    UsageError
-        With one line, when it cannot be read or is not TOML.
-    """
-    try:
-        return tomllib.loads(read_regular(path).decode())
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UsageError(f"{path}: cannot be read: {reason}") from None
-    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
-        raise UsageError(f"{path}: not TOML: {error}") from None
 
 
 def load_scenario(path: str | Path) -> Scenario:

@@ -166,7 +166,8 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    from runtime.scenario_file import others_than, read_toml
+    from runtime.files import read_toml
+    from runtime.scenario_file import others_than
 
     if not path.exists():
         raise UsageError(f"{path}: no such file{others_than(str(path))}")
