@@ -12,12 +12,9 @@ from runtime.logs import logger
 from runtime.options import MessageOptions, message_of, option, picked
 
 if TYPE_CHECKING:
-    import threading
-
     from controller_service.laws.base import CandidateLaw
-    from controller_service.service import ControllerService
     from protocol.scenario import Scenario
-    from runtime.bus import Bus
+    from runtime.fleet import FleetLoop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,22 +41,19 @@ def run(args: argparse.Namespace) -> int:
     UsageError
         When an option's value is wrong.
     """
-    from controller_service.service import ControllerConfig, ControllerService, open_in_fleet
+    from controller_service.service import ControllerConfig, add_controller
 
     options = picked(ControllerOptions, vars(args))
+    law_of = cache(designed)  # loops of one scenario share one law
+
+    def configure(common: dict[str, Any], loop: "FleetLoop") -> ControllerConfig:
+        law: Any = None if options.check else law_of(common["scenario"])
+        return ControllerConfig(
+            **common, law=law, message=loop.payload, clear_alarm=options.clear_alarm
+        )
+
     message = message_of(options.message)
-
-    def own(scenario: "Scenario") -> dict[str, Any]:
-        law = None if options.check else designed(scenario)
-        return {"law": law, "message": message, "clear_alarm": options.clear_alarm}
-
-    def single(
-        told: dict[str, Any], field: "Bus", management: "Bus", stopping: "threading.Event"
-    ) -> "ControllerService":
-        return ControllerService(ControllerConfig(**told), field, management, stopping)
-
-    fleets = open_in_fleet(cache(designed))  # loops of one scenario share one law
-    return run_end(options, logger("controller"), message, own, single, fleets)
+    return run_end(options, logger("controller"), message, configure, add_controller)
 
 
 def designed(scenario: "Scenario") -> "CandidateLaw":

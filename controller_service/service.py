@@ -1,28 +1,22 @@
-"""The controller service: its configuration, its endpoint, and the host that runs it."""
+"""The controller service: its configuration, and its endpoint on the host that runs it."""
 
-import threading
-import time
-from collections.abc import Callable
+import logging
 from dataclasses import KW_ONLY, dataclass
 
 from controller_service.core import ControllerCore
 from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.channel import channel_of
-from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S
 from protocol.link.records import ControllerRecord
 from protocol.link.session import rules_of
-from protocol.scenario import Scenario
 from protocol.streams import CIPHER
-from runtime.bus import Bus
 from runtime.chance import new_id, symbols
-from runtime.end_service import Common, EndConfig, EndService, Open
+from runtime.end_service import EndConfig
 from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
-from runtime.fleet import FleetLoop
+from runtime.host import Host
 from runtime.journal import ControllerJournal, JournalError
-from runtime.logs import logger
 from runtime.ports import Files
 from runtime.recording import TraceWriter
 from runtime.run_folder import (
@@ -99,51 +93,23 @@ def _going_on(record: ControllerRecord) -> ControllerRecord:
     return record._replace(alarms=record.alarms._replace(halted=False))
 
 
-class ControllerService(EndService[ControllerCore]):
-    """Answers one plant's measurements with offers until it is told to stop.
-
-    Its parameters are those of :class:`EndService`.
+def add_controller(
+    host: Host, config: ControllerConfig, log: logging.Logger, _number: int = 0
+) -> ControllerCore:
+    """Open the controller's end of one loop, and have a host run it.
 
     Raises
     ------
     UsageError
         When the journal cannot be used.
     """
-
-    def __init__(
-        self,
-        config: ControllerConfig,
-        field: Bus,
-        management: Bus,
-        stopping: threading.Event,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        log = logger("controller")
-        super().__init__(
-            config,
-            open_controller(config),
-            log,
-            field,
-            management,
-            stopping,
-            clock,
-        )
-        core = self.endpoint
-        log.info(
-            "session %s, model %s, %d messages queued, %d delivered",
-            core.state.session.record.id or "none yet",
-            config.scenario.fingerprint()[:8],
-            core.state.messages.queued,
-            core.state.frame.record.message,
-        )
-
-
-def open_in_fleet(law_of: Callable[[Scenario], CandidateLaw]) -> Open:
-    """What opens the controller's end of a loop, under the law of its scenario."""
-
-    def open_end(told: Common, loop: FleetLoop, _number: int) -> tuple[Endpoint, Files]:
-        law = law_of(told["scenario"])
-        config = ControllerConfig(**told, law=law, message=loop.payload)
-        return open_controller(config, status_s=FLEET_STATUS_S)
-
-    return open_end
+    core, files = open_controller(config, status_s=FLEET_STATUS_S if host.fleet else STATUS_S)
+    host.add(config.loop, core, files, log)
+    log.info(
+        "session %s, model %s, %d messages queued, %d delivered",
+        core.state.session.record.id or "none yet",
+        config.scenario.fingerprint()[:8],
+        core.state.messages.queued,
+        core.state.frame.record.message,
+    )
+    return core

@@ -9,14 +9,9 @@ from runtime.end_service import EndOptions, run_end
 from runtime.errors import UsageError
 from runtime.logs import logger
 from runtime.options import option, picked
-from runtime.run_folder import PLANT_SAFE
 
 if TYPE_CHECKING:
-    import threading
-
-    from plant_service.service import PlantService
-    from protocol.scenario import Scenario
-    from runtime.bus import Bus
+    from runtime.fleet import FleetLoop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,22 +42,17 @@ def run(args: argparse.Namespace) -> int:
     UsageError
         When an option's value is wrong.
     """
-    from plant_service.service import PlantConfig, PlantService, open_in_fleet
+    from plant_service.service import PlantConfig, add_plant
     from runtime.scenario_file import attack_option
 
     options = picked(PlantOptions, vars(args))
     if options.fleet is not None and options.steps is not None:
         raise UsageError("--steps: a fleet runs until it is stopped")
 
-    def own(scenario: "Scenario") -> dict[str, Any]:
-        attack = attack_option(options.attack, scenario.attack, options.steps)
-        return {"steps": options.steps, "attack": attack}
+    def configure(common: dict[str, Any], _loop: "FleetLoop") -> PlantConfig:
+        attack = attack_option(options.attack, common["scenario"].attack, options.steps)
+        return PlantConfig(
+            **common, steps=options.steps, attack=attack, clear_safe=options.clear_safe
+        )
 
-    def single(
-        told: dict[str, Any], field: "Bus", management: "Bus", stopping: "threading.Event"
-    ) -> "PlantService":
-        if options.clear_safe:
-            (told["run_dir"] / PLANT_SAFE).unlink(missing_ok=True)
-        return PlantService(PlantConfig(**told), field, management, stopping)
-
-    return run_end(options, logger("plant"), None, own, single, open_in_fleet)
+    return run_end(options, logger("plant"), None, configure, add_plant)

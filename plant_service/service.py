@@ -1,10 +1,11 @@
-"""The plant service: its configuration, its core, and the host that runs it."""
+"""The plant service: its configuration, and its core on the host that runs it."""
 
-import threading
+import logging
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
@@ -13,19 +14,17 @@ from plant_service.opening import open_core
 from plant_service.plant import FilteredPlant
 from plant_service.status import PlantTelemetry
 from protocol.link.channel import channel_of
-from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.scenario import AttackTable
 from protocol.streams import COIN, SENSOR, Stream
-from runtime.bus import Bus
 from runtime.chance import new_id, noise, symbols
-from runtime.end_service import Common, EndConfig, EndService
+from runtime.end_service import EndConfig
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically
-from runtime.fleet import SLOTS, FleetLoop
+from runtime.fleet import SLOTS
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
+from runtime.host import Host
 from runtime.journal import JournalError, PlantJournal
-from runtime.logs import logger
 from runtime.ports import Files
 from runtime.recording import TraceWriter
 from runtime.run_folder import (
@@ -40,11 +39,13 @@ from runtime.run_folder import (
 class PlantConfig(EndConfig):
     """What the plant service is started with; ``steps`` ends it when k reaches that number.
 
-    ``attack`` is on this plant, or on its bus.
+    ``attack`` is on this plant, or on its bus. ``clear_safe``: a plant runs that is in its safe
+    state.
     """
 
     steps: int | None = None
     attack: AttackTable | None = None
+    clear_safe: bool = False
 
 
 def open_plant(
@@ -116,83 +117,57 @@ def _opened(
     return core, Files(journal, trace, config.run_dir / PLANT_STATUS)
 
 
-class PlantService(EndService[PlantCore]):
-    """Runs one plant until it is told to stop, or has made its steps.
+def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int = 0) -> PlantCore:
+    """Open the plant's end of one loop, the nth of its host, and have the host run it.
 
-    Its parameters are those of :class:`EndService`.
+    Where the plant fails or the watchdog bites, it is in its safe state, and a mark in the run's
+    folder keeps it there.
 
     Raises
     ------
     UsageError
-        When the journal or the plant cannot be used, or the plant is in its safe state.
+        When the journal or the plant cannot be used, the plant is in its safe state, or it is no
+        linear model in a fleet.
     """
-
-    def __init__(
-        self,
-        config: PlantConfig,
-        field: Bus,
-        management: Bus,
-        stopping: threading.Event,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._safe_state = config.run_dir / PLANT_SAFE
-        if self._safe_state.exists():
-            why = read_regular(self._safe_state).decode().strip()
-            raise UsageError(
-                f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
-            )
-        log, opened = logger("plant"), open_plant(config, clock())
-        plant = opened[0].stepper.plant
-        if isinstance(plant, FilteredPlant):
-            field = plant.overheard(field, config.loop)
-        try:
-            super().__init__(config, opened, log, field, management, stopping, clock)
-        except BaseException:
-            let_go(opened[0])
-            raise
-        state = self.endpoint.state
-        code = getattr(config.scenario.plant, "object", None)
-        if code is not None:
-            log.info("plant.object: running %s, from %s", code, config.folder.resolve())
-        log.info(
-            "session %s, model %s, step %d, pace %s",
-            state.session.record.id,
-            config.scenario.fingerprint()[:8],
-            state.link.k,
-            config.pace.text,
+    scenario, mark = config.scenario, config.run_dir / PLANT_SAFE
+    if config.clear_safe:
+        mark.unlink(missing_ok=True)
+    if mark.exists():
+        why = read_regular(mark).decode().strip()
+        raise UsageError(
+            f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
         )
+    phase, status_s = None, STATUS_S
+    if host.fleet:
+        if not is_model(scenario):
+            raise UsageError(f"plant.kind: got {scenario.plant.kind!r}, expected linear in a fleet")
+        phase, status_s = number % SLOTS / SLOTS, FLEET_STATUS_S
+    core, files = open_plant(config, time.monotonic(), phase=phase, status_s=status_s)
+    plant = core.stepper.plant
+    heard = plant.overheard(host.field, config.loop) if isinstance(plant, FilteredPlant) else None
+    try:
+        host.add(config.loop, core, files, log, heard, partial(_keep_safe, mark, log))
+    except BaseException:
+        let_go(core)
+        raise
+    code = getattr(scenario.plant, "object", None)
+    if code is not None:
+        log.info("plant.object: running %s, from %s", code, config.folder.resolve())
+    log.info(
+        "session %s, model %s, step %d, pace %s",
+        core.state.session.record.id,
+        scenario.fingerprint()[:8],
+        core.state.link.k,
+        config.pace.text,
+    )
+    return core
 
-    def run(self) -> int:
-        """Step until stopped; returns the exit code.
 
-        Raises
-        ------
-        PlantError
-            When the plant failed or the watchdog bit; it is in its safe state then, and a mark in
-            the run's folder keeps it there.
-        """
-        try:
-            return super().run()
-        except PlantError as error:
-            try:
-                write_atomically(self._safe_state, f"{error}\n".encode())
-            except OSError as full:
-                reason = f"and {self._safe_state} cannot be written: {full.strerror}"
-                raise PlantError(f"{error}; {reason}") from error
-            raise
-
-
-def open_in_fleet(told: Common, _loop: FleetLoop, number: int) -> tuple[Endpoint, Files]:
-    """The plant's end of a loop, the nth of its host.
-
-    Raises
-    ------
-    UsageError
-        When its plant is no linear model.
-    """
-    config = PlantConfig(**told)
-    if not is_model(config.scenario):
-        kind = config.scenario.plant.kind
-        raise UsageError(f"plant.kind: got {kind!r}, expected linear in a fleet")
-    phase = number % SLOTS / SLOTS
-    return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
+def _keep_safe(mark: Path, log: logging.Logger, error: Exception) -> None:
+    """Mark that a plant which has failed is in its safe state."""
+    if not isinstance(error, PlantError):
+        return
+    try:
+        write_atomically(mark, f"{error}\n".encode())
+    except OSError as full:
+        log.error("%s cannot be written: %s", mark, full.strerror)

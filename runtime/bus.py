@@ -72,6 +72,10 @@ class Bus(Protocol):
         machine nothing is on a medium: each link but the partner's is one, for it is a tap's.
         """
 
+    def taken(self, key: str, payload: bytes) -> None:  # noqa: ARG002
+        """A message off a channel is handled now."""
+        return
+
     def left(self, loop: str) -> None:  # noqa: ARG002
         """A loop has left: drop what is kept of its messages."""
         return
@@ -96,7 +100,7 @@ Note = Callable[[str, bytes], None]
 
 
 class Overheard(Bus):
-    """A bus of which every message that is put, or taken off a channel, is noted before it passes.
+    """A bus of which every message that is put is noted before it passes, and every one handled.
 
     Parameters
     ----------
@@ -105,11 +109,11 @@ class Overheard(Bus):
     put : callable
         Notes what leaves.
     taken : callable, optional
-        Notes what comes.
+        Notes what came over a channel, when it is handled.
     """
 
     def __init__(self, bus: Bus, put: Note, taken: Note | None = None) -> None:
-        self._bus, self._noted_put, self._noted_taken = bus, put, taken
+        self._bus, self._noted_put, self._noted_taken = bus, put, taken or bus.taken
 
     def publisher(self, key: str, *, many: bool = False) -> Publisher:
         """A publisher on one key."""
@@ -117,12 +121,15 @@ class Overheard(Bus):
 
     def channel(self, key_expr: str, capacity: int) -> BusChannel:
         """The messages of others that fit."""
-        channel = self._bus.channel(key_expr, capacity)
-        return channel if self._noted_taken is None else _NotedChannel(channel, self._noted_taken)
+        return self._bus.channel(key_expr, capacity)
 
     def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """As the bus does."""
         self._bus.subscribe(key_expr, deliver, patient=patient)
+
+    def taken(self, key: str, payload: bytes) -> None:
+        """Note it."""
+        self._noted_taken(key, payload)
 
     def appearances(self) -> int:
         """As the bus does."""
@@ -144,14 +151,3 @@ class _NotedPublisher:
     def put(self, payload: bytes) -> None:
         self._note(self._key, payload)
         self._put(payload)
-
-
-class _NotedChannel:
-    def __init__(self, channel: BusChannel, note: Note) -> None:
-        self._receive, self.close, self._note = channel.receive, channel.close, note
-
-    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
-        taken = self._receive(wait=wait)
-        for key, payload in taken:
-            self._note(key, payload)
-        return taken

@@ -1,29 +1,23 @@
 """One end of one loop as a service, or that of each loop of a fleet: hosts, and their options."""
 
 import logging
-import threading
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field
-from functools import partial
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
-from protocol.link.endpoint import Endpoint
 from protocol.scenario import Scenario
-from runtime.bus import Bus
-from runtime.bus_options import ServiceOptions, buses_of, check_addresses, fleet_of, loop_of
+from runtime.bus_options import ServiceOptions, buses_of, check_addresses, fleet_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
-from runtime.ports import Files
 from runtime.recording import Bounds
 from runtime.scenario_file import keep_scenario, scenario_of
 from runtime.shipped import scenario_file_of
-
-E = TypeVar("E", bound=Endpoint)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,50 +49,16 @@ class EndConfig:
     bounds: Bounds = field(default_factory=Bounds)
 
 
-class EndService(Generic[E]):
-    """Runs one end until it is told to stop, or until it is over.
+C = TypeVar("C", bound=EndConfig)
 
-    Parameters
-    ----------
-    config : EndConfig
-    opened : tuple of Endpoint and Files
-        The end of the loop as its journal has it.
-    log : logging.Logger
-    field, management : Bus
-        Already open; closed by whoever opened them.
-    stopping : threading.Event
-        Ends :meth:`run`.
-    clock : callable
-        Monotonic seconds.
-    """
+Configure = Callable[[dict[str, Any], FleetLoop], C]
+"""Makes an end's configuration of the keywords that are :class:`EndConfig`'s.
 
-    def __init__(
-        self,
-        config: EndConfig,
-        opened: tuple[E, Files],
-        log: logging.Logger,
-        field: Bus,
-        management: Bus,
-        stopping: threading.Event,
-        clock: Callable[[], float],
-    ) -> None:
-        self.endpoint, files = opened
-        self.trace = files.trace
-        self._host = Host(field, management, stopping, clock)
-        self._host.add(config.loop, self.endpoint, files, log)
-        if config.seed is not None:
-            log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
+It raises UsageError where an option or the scenario is wrong.
+"""
 
-    def run(self) -> int:
-        """Run until stopped, or until the end is over; returns the exit code."""
-        return self._host.run()
-
-
-Common = dict[str, Any]
-"""What a loop's end is started with, as of :class:`EndConfig`."""
-
-Open = Callable[[Common, FleetLoop, int], tuple[Endpoint, Files]]
-"""Opens one end of a loop, the nth of its host, as its journal has it.
+Add = Callable[[Host, C, logging.Logger, int], object]
+"""Opens one end of a loop, the nth of its host, as its journal has it, and adds it to the host.
 
 It raises UsageError, Failure or OSError where that cannot be.
 """
@@ -108,9 +68,8 @@ def run_end(
     options: EndOptions,
     log: logging.Logger,
     message: bytes | None,
-    own: Callable[[Scenario], Common],
-    single: Callable[[Common, Bus, Bus, threading.Event], EndService[Any]],
-    open_end: Open,
+    configure: Configure[C],
+    add: Add[C],
 ) -> int:
     """Run one end, or that of each loop of a fleet, until it is over; returns the exit code.
 
@@ -120,12 +79,8 @@ def run_end(
     log : logging.Logger
         Of the service, by its name.
     message : bytes, optional
-        For each loop of a numbered fleet.
-    own : callable
-        What a single end is started with besides.
-    single : callable
-        The service of one loop on its buses.
-    open_end : callable
+        For the loop, or for each one of a numbered fleet.
+    configure, add : callable
 
     Raises
     ------
@@ -133,7 +88,20 @@ def run_end(
         When an option's value is wrong.
     """
     check_addresses(options, log.name)
-    common = partial(dict[str, Any], pace=pace_of(options.pace), bounds=options.bounds)
+    pace, scenarios = pace_of(options.pace), cache(scenario_of)
+
+    def configured(loop: FleetLoop, run_dir: Path) -> C:
+        common = {
+            "scenario": scenarios(loop.scenario),
+            "run_dir": run_dir,
+            "loop": loop.id,
+            "pace": pace,
+            "seed": loop.seed,
+            "folder": folder_of("--folder", options.folder, scenario_file_of(loop.scenario).parent),
+            "bounds": options.bounds,
+        }
+        return configure(common, loop)
+
     fleet = fleet_of(options, message)
     if fleet is not None:
         if options.check:
@@ -141,24 +109,26 @@ def run_end(
             return fine(f"{len(fleet.loops)} loops")
         folder = run_dir_of(options.run_dir)
         with buses_of(options, log.name) as (stopping, field_bus, management):
-            return run_fleet(fleet, folder, common, open_end, field_bus, management, stopping, log)
-    scenario = scenario_of(options.scenario)
-    folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
-    besides = own(scenario)
+            host = Host(field_bus, management, stopping, fleet=True)
+            return run_fleet(fleet, folder, configured, add, host, log)
+    loop = single_loop(options, message)
+    config = configured(loop, Path())
     if options.check:
-        return fine(f"scenario {scenario.name}")
-    run_dir = run_dir_of(options.run_dir)
-    told = common(
-        scenario=scenario,
-        run_dir=run_dir,
-        loop=loop_of(options.loop),
-        seed=options.seed,
-        folder=folder,
-        **besides,
-    )
+        return fine(f"scenario {config.scenario.name}")
+    config = replace(config, run_dir=run_dir_of(options.run_dir))
+    if loop.seed is not None:
+        log.warning("seed %d: symbols are predictable, for experiments only", loop.seed)
     with buses_of(options, log.name) as (stopping, field_bus, management):
-        keep_scenario(run_dir, options.scenario)
-        return single(told, field_bus, management, stopping).run()
+        keep_scenario(config.run_dir, loop.scenario)
+        host = Host(field_bus, management, stopping)
+        add(host, config, log, 0)
+        return host.run()
+
+
+def single_loop(options: EndOptions, message: bytes | None) -> FleetLoop:
+    """The one loop that the options name."""
+    text = (message or b"").decode("utf-8", errors="surrogateescape")
+    return FleetLoop(id=options.loop, scenario=options.scenario, message=text, seed=options.seed)
 
 
 def check_loops(fleet: Fleet) -> None:
@@ -187,34 +157,20 @@ def check_loops(fleet: Fleet) -> None:
 def run_fleet(
     fleet: Fleet,
     run_dir: Path,
-    common: Callable[..., Common],
-    open_end: Open,
-    field_bus: Bus,
-    management: Bus,
-    stopping: threading.Event,
+    configured: Callable[[FleetLoop, Path], C],
+    add: Add[C],
+    host: Host,
     log: logging.Logger,
 ) -> int:
     """Run one end of every loop of a fleet until told to stop; returns the exit code.
 
-    ``common`` makes of a loop's own keywords what its end is started with. A loop that cannot be
-    opened, or fails, is logged, and harms no other.
+    A loop that cannot be opened, or fails, is logged, and harms no other.
     """
-    host = Host(field_bus, management, stopping, fleet=True)
-    scenarios: dict[str, Scenario] = {}
     for number, loop in enumerate(fleet.loops.values(), start=1):
         folder = run_dir / loop.id
         try:
             keep_scenario(folder, loop.scenario)
-            if loop.scenario not in scenarios:
-                scenarios[loop.scenario] = scenario_of(loop.scenario)
-            told = common(
-                scenario=scenarios[loop.scenario],
-                run_dir=folder,
-                loop=loop.id,
-                seed=loop.seed,
-                folder=scenario_file_of(loop.scenario).parent,
-            )
-            host.add(loop.id, *open_end(told, loop, number), log.getChild(loop.id))
+            add(host, configured(loop, folder), log.getChild(loop.id), number)
         except (UsageError, Failure, OSError) as error:
             log.error("loop %s: %s", loop.id, str(error).replace("\n", "; "))
         except Exception as error:

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from pydantic_core import from_json, to_json
 
 from protocol.messages import PlantStatus, Status
-from runtime.files import read_regular, write_atomically
+from runtime.files import read_regular, remove_partials, write_atomically
 
 WINDOW_S: Final = 10.0
 """Seconds over which missed steps are counted."""
@@ -128,7 +128,7 @@ class HealthFiles:
     Parameters
     ----------
     path : Path
-        Of the status.
+        Of the status. What an earlier process left half written beside it is removed.
     log : logging.Logger
     """
 
@@ -137,6 +137,7 @@ class HealthFiles:
         self._pulse = Liveness()
         self._unwritten = ""
         self.log = log
+        remove_partials(path.parent)
 
     def write(self, status: Status, now_s: float) -> None:
         """Replace the file, as of a monotonic time; a fault of the disk is logged, once.

@@ -63,9 +63,11 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 class _Loop:
     endpoint: Endpoint
     ports: LoopPorts
+    field: Bus
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
-    failed: bool = False  # what it has done last may be carried out in part
+    failed: Exception | None = None  # what it has done last may be carried out in part
+    on_failure: Callable[[Exception], None] | None = None
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
     look: bool = False  # whether its links are to be counted before it acts
 
@@ -136,10 +138,10 @@ class Host:
         *,
         fleet: bool = False,
     ) -> None:
-        self._field, self._management = field_bus, management
+        self.field, self._management = field_bus, management
         self._stopping = stopping
         self._clock = clock
-        self._fleet = fleet
+        self.fleet = fleet
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
@@ -162,22 +164,42 @@ class Host:
         """The loops that run."""
         return tuple(self._loops)
 
-    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
-        """Take in one more end, under the id of its loop; its files are closed when it is over."""
+    def add(
+        self,
+        loop: str,
+        endpoint: Endpoint,
+        files: Files,
+        log: logging.Logger,
+        field: Bus | None = None,
+        on_failure: Callable[[Exception], None] | None = None,
+    ) -> None:
+        """Take in one more end, under the id of its loop; its files are closed when it is over.
+
+        Parameters
+        ----------
+        loop, endpoint, files, log
+        field : Bus, optional
+            The field bus as this end has it, with somebody who listens.
+        on_failure : callable, optional
+            Takes the error that this end has failed with, once its files are closed.
+        """
+        field = self.field if field is None else field
         with self.turns:
             publishers: dict[type[Message], Publisher] = {}
             for kind in endpoint.sends:
-                publishers[kind] = self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
+                bus = field if kind in FIELD else self._management
+                publishers[kind] = bus.publisher(key_of(kind, loop), many=self.fleet)
                 if endpoint.makes_keys and kind in FIELD:
                     publishers[kind] = Sparing(publishers[kind], partial(self._crowding, loop))
             extract = self._extracting(loop) if endpoint.makes_keys else None
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
             ports = LoopPorts(files, publishers, log, told, extract)
-            self._loops[loop] = _Loop(endpoint, ports, look=endpoint.makes_keys)
+            one = _Loop(endpoint, ports, field, look=endpoint.makes_keys, on_failure=on_failure)
+            self._loops[loop] = one
             for kind in endpoint.receives:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.receives:
-            self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
+            self.subscribe(kind, every_loop(kind) if self.fleet else key_of(kind, loop))
 
     def subscribe(self, kind: type[Message], key_expr: str) -> None:
         """Hear what comes on a key, once for all loops."""
@@ -185,7 +207,7 @@ class Host:
             return
         self._subscribed.add(key_expr)
         if kind in FIELD:
-            channel = self._field.channel(key_expr, CAPACITY)
+            channel = self.field.channel(key_expr, CAPACITY)
             self._channels.append(channel)
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
@@ -207,9 +229,6 @@ class Host:
             self._inbox.put(partial(self._extracted, loop, block), None)
 
         return partial(self._extraction.put, tell=tell)
-
-    def _bus(self, kind: type[Message]) -> Bus:
-        return self._field if kind in FIELD else self._management
 
     # --- the two threads --------------------------------------------------------------------------
 
@@ -239,7 +258,7 @@ class Host:
                 self._do(loop, self._loops[loop].endpoint.start)
         for thread in self._threads:
             thread.start()
-        while (self._fleet or self._loops) and not self._stopping.is_set():
+        while (self.fleet or self._loops) and not self._stopping.is_set():
             self._wake()
             self._take()
         if self._error is not None:
@@ -251,7 +270,7 @@ class Host:
         try:
             while True:
                 waiting.extend(channel.receive(wait=not waiting))
-                if len(waiting) > (len(self._loops) if self._fleet else BACKLOG):
+                if len(waiting) > (len(self._loops) if self.fleet else BACKLOG):
                     waiting = deque(dict(waiting).items())
                 with self.turns:
                     until = self._clock() + TURN_S
@@ -309,7 +328,7 @@ class Host:
     def _look_at_links(self, loop: _Loop) -> None:
         """Tell an end how often its messages leave, where that has changed."""
         loop.look = False
-        count = self._field.appearances()
+        count = self.field.appearances()
         if count != loop.appearances:
             loop.appearances = count
             perform(loop.endpoint.appear(count), loop.ports)
@@ -322,7 +341,7 @@ class Host:
         loop = self._loops.get(name)
         if loop is None:
             return False
-        count = self._field.appearances()
+        count = self.field.appearances()
         loop.look |= count != loop.appearances
         return count > loop.appearances
 
@@ -330,6 +349,8 @@ class Host:
         name, kind = self._by_key.get(key, ("", Message))
         loop = self._loops.get(name)
         if loop is not None:
+            if kind in FIELD:
+                loop.field.taken(key, payload)
             self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
 
     def _extracted(self, name: str, block: ExtractedBlock | ExtractionFailed) -> None:
@@ -348,8 +369,8 @@ class Host:
             perform(act(self._clock()), loop.ports)
             loop.started = True
         except Exception as error:
-            loop.failed = True
-            if not self._fleet:
+            loop.failed = error
+            if not self.fleet:
                 raise
             loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
             self._end(name)
@@ -382,13 +403,15 @@ class Host:
         try:
             with self._lost(loop, OSError, Failure):
                 last = loop.endpoint.stop(self._clock())
-                if loop.failed:  # what the journal has is done again by the next start
+                if loop.failed is not None:  # what the journal has is done again by the next start
                     last = (effect for effect in last if not isinstance(effect, Save))
                 perform(last, loop.ports)
         finally:
             with self._lost(loop):
                 loop.ports.close()
-            self._field.left(name)
+            if loop.failed is not None and loop.on_failure is not None:
+                loop.on_failure(loop.failed)
+            self.field.left(name)
             self._management.left(name)
         if not self._loops:
             self._inbox.put(_look_up, None)
@@ -399,7 +422,7 @@ class Host:
         try:
             yield
         except Exception as error:
-            if not self._fleet and not isinstance(error, kinds):
+            if not self.fleet and not isinstance(error, kinds):
                 raise
             loop.ports.log.warning("the last word is lost: %s", error)
 

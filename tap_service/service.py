@@ -18,7 +18,7 @@ from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
-from runtime.files import write_atomically
+from runtime.files import remove_partials, write_atomically
 from runtime.inbox import Inbox
 from runtime.logs import Burst, RateLimitedLog, logger
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
@@ -87,6 +87,7 @@ class TapService:
     def begin(self) -> None:
         """Begin the recordings, and the processes beside; until then nothing is written."""
         config, header = self._config, self._config.header()
+        remove_partials(self._status_path.parent)
         self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         guesses = config.run_dir / GUESSES
         self._guesses = RotatingLog(guesses, header, eighth(config.limits), self.log)

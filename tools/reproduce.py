@@ -3,8 +3,7 @@
 A row holds when its command ends with code 0, prints all that stands as code in the row's column
 "expected", and writes the same rows as the file that this column links to. Where its tolerance is
 "FIELD at least N", the JSON object that it prints must have such a field. What the commands write
-goes to ``build/reproduced``, emptied first. ``--stale`` runs nothing and lists the data files with
-rows that other code made than today's.
+goes to ``build/reproduced``, emptied first.
 """
 
 import argparse

@@ -14,9 +14,10 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service import opening
 from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
+from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.punctuality import ReachWatch
-from plant_service.service import PlantConfig, PlantService
+from plant_service.service import PlantConfig, add_plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
 from protocol.link.effects import Effects, Publish, Save, Tell
@@ -29,7 +30,9 @@ from protocol.streams import COIN, SeededSymbols, Stream
 from protocol.topics import key_of
 from runtime.bus import TransportError
 from runtime.errors import UsageError
+from runtime.host import Host
 from runtime.journal import PlantJournal
+from runtime.logs import logger
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device
@@ -322,19 +325,19 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
     management = MemoryHub()
     buses = MemoryBus(MemoryHub()), MemoryBus(management)
-    service = PlantService(config, *buses, threading.Event())
-    assert service.endpoint.stepper.plant.acts
-    taken_up(service, management)
+    host = Host(*buses, threading.Event())
+    core = add_plant(host, config, logger("plant"))
+    assert core.stepper.plant.acts
+    taken_up(core, management)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
-        service.run()
+        host.run()
     assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
     with pytest.raises(UsageError, match=r"safe state: .*belt is torn .*--clear-safe"):
-        PlantService(config, *buses, threading.Event())
+        add_plant(Host(*buses, threading.Event()), config, logger("plant"))
 
 
-def taken_up(service: PlantService, management: MemoryHub) -> None:
+def taken_up(core: PlantCore, management: MemoryHub) -> None:
     """A controller takes the session up, as soon as the service runs; it offers nothing."""
-    core = service.endpoint
     hello = ControllerHello(
         instance="2" * 16,
         incarnation=1,
@@ -357,13 +360,14 @@ def device_service(
     monkeypatch: pytest.MonkeyPatch,
     stopping: threading.Event,
     management: MemoryHub | None = None,
-) -> PlantService:
-    """The service of a plant that is a device in this process."""
+) -> tuple[Host, PlantCore]:
+    """The host of a plant that is a device in this process, and its core."""
     opened = partial(open_plant, own=device)
     monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(management or MemoryHub())
-    return PlantService(config, *buses, stopping)
+    host = Host(*buses, stopping)
+    return host, add_plant(host, config, logger("plant"))
 
 
 def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
@@ -375,11 +379,11 @@ def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
             raise OSError("the port is gone")
 
     device, management = Stuck(), MemoryHub()
-    service = device_service(device, tmp_path, monkeypatch, threading.Event(), management)
-    taken_up(service, management)
+    host, core = device_service(device, tmp_path, monkeypatch, threading.Event(), management)
+    taken_up(core, management)
     device.reading = lambda y: (float("nan"), 0.0)
     with log_of("plant") as lines, pytest.raises(PlantError, match="expected finite numbers"):
-        service.run()
+        host.run()
     assert device.calls[-2:] == ["safe", "close"]
     assert "expected finite numbers" in (tmp_path / PLANT_SAFE).read_text()
     assert "plant: close: OSError: the port is gone" in lines

@@ -19,7 +19,8 @@ def told(capsys: pytest.CaptureFixture[str], name: str) -> tuple[dict[str, Any],
     found = json.loads(capsys.readouterr().out)["answer"]
     assert list(bare_figures(found)) == []
     assert main(["design", name]) == 0
-    return found, capsys.readouterr().out.splitlines()[:3]
+    worth = capsys.readouterr().out.partition("\n\n")[0]
+    return found, worth.replace("\n  ", " ").splitlines()
 
 
 def test_a_law_that_talks_keeps_nothing_secret(capsys: pytest.CaptureFixture[str]) -> None:

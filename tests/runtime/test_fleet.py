@@ -2,17 +2,14 @@
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from controller_service import service as controllers
+from controller_service import command as controllers
 from controller_service.laws.base import CandidateLaw
-from plant_service import service as plants
 from protocol.messages import (
     LATENCY_BOUNDS_S,
     ControllerStatus,
@@ -20,14 +17,10 @@ from protocol.messages import (
     PlantStatus,
 )
 from protocol.topics import key_of
-from runtime import host
-from runtime.end_service import Open, run_fleet
+from runtime import end_service, host
 from runtime.errors import DONE, UsageError
-from runtime.fleet import Fleet, numbered, read_fleet
+from runtime.fleet import read_fleet
 from runtime.health import read_status
-from runtime.logs import logger
-from runtime.pace import Pace
-from runtime.recording import Bounds
 from runtime.run_folder import (
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
@@ -35,6 +28,7 @@ from runtime.run_folder import (
     PLANT_STATUS,
     PLANT_TRACE,
 )
+from runtime.shipped import SCENARIOS
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
@@ -91,38 +85,41 @@ def test_options_that_do_not_go_together(
 
 
 class Hosts:
-    """A host of controllers and one of plants on hubs in memory."""
+    """The command of the controllers and that of the plants, on hubs in memory."""
 
-    def __init__(self, fleet: Callable[[], Fleet], law: CandidateLaw, folder: Path) -> None:
-        self.fleet, self.law, self.folder = fleet, law, folder
+    def __init__(self, law: CandidateLaw, folder: Path, *options: str) -> None:
+        self.law, self.folder, self.options = law, folder, options
         self.field, self.management = MemoryHub(), MemoryHub()
         self.codes: list[int] = []
 
     @contextmanager
-    def running(self, pace: str) -> Iterator[None]:
+    def running(self, pace: str, *of_controllers: str) -> Iterator[None]:
         stopping = threading.Event()
 
-        def run(open_end: Open, name: str) -> None:
-            common = partial(dict[str, Any], bounds=Bounds(), pace=Pace(pace))
-            buses = MemoryBus(self.field), MemoryBus(self.management)
-            log = logger(name)
-            code = run_fleet(self.fleet(), self.folder, common, open_end, *buses, stopping, log)
-            self.codes.append(code)
+        @contextmanager
+        def buses_of(*_: object) -> Iterator[tuple[threading.Event, MemoryBus, MemoryBus]]:
+            yield stopping, MemoryBus(self.field), MemoryBus(self.management)
 
-        law = controllers.open_in_fleet(lambda _: self.law)
+        def run(service: str, *more: str) -> None:
+            common = [*self.options, "--run-dir", str(self.folder), "--pace", pace]
+            self.codes.append(main([service, *common, *more]))
+
         threads = [
-            threading.Thread(target=run, args=end)
-            for end in ((law, "controller"), (plants.open_in_fleet, "plant"))
+            threading.Thread(target=run, args=("controller", *of_controllers)),
+            threading.Thread(target=run, args=("plant",)),
         ]
-        for thread in threads:
-            thread.start()
-        try:
-            yield
-        finally:
-            stopping.set()
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(end_service, "buses_of", buses_of)
+            patched.setattr(controllers, "designed", lambda _: self.law)
             for thread in threads:
-                thread.join(PATIENCE_S)
-            assert self.codes == [DONE, DONE]
+                thread.start()
+            try:
+                yield
+            finally:
+                stopping.set()
+                for thread in threads:
+                    thread.join(PATIENCE_S)
+                assert self.codes == [DONE, DONE]
 
     def status(self, loop: str) -> PlantStatus | None:
         try:
@@ -141,9 +138,9 @@ class Hosts:
 def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
     sustained_law: CandidateLaw, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hosts = Hosts(lambda: numbered(3, "sustained", "hi", seed=1), sustained_law, tmp_path)
-    names = list(hosts.fleet().loops)
-    with hosts.running("x10"):
+    hosts = Hosts(sustained_law, tmp_path, "--fleet", "3", "--seed", "1")
+    names = [f"loop-{number:04d}" for number in range(3)]
+    with hosts.running("x10", "--message", "hi"):
         hosts.wait(lambda: all(map(hosts.delivered, names)))
         hosts.wait(lambda: main(["status", str(tmp_path)]) == 0)
         assert "3 of 3 loops without a warning" in capsys.readouterr().out
@@ -180,10 +177,48 @@ def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_
     journal = tmp_path / "run" / "two" / PLANT_JOURNAL
     journal.parent.mkdir(parents=True)
     journal.write_bytes(b"no journal" * 1000)
-    hosts = Hosts(lambda: read_fleet(path), sustained_law, tmp_path / "run")
+    hosts = Hosts(sustained_law, tmp_path / "run", "--fleet", str(path))
     with hosts.running("x20"):
         hosts.wait(lambda: hosts.delivered("one"))
     assert hosts.status("two") is None
+
+
+ATTACK = """
+from attacker_service.base import SensorAttack
+
+
+class Heard(SensorAttack):
+    name = "heard"
+    knows = frozenset({"bus"})
+
+    def sensor(self, observed):
+        return observed.shown if observed.candidates is None else 0 * observed.shown + 0.01
+"""
+
+
+@pytest.mark.slow
+def test_the_attack_of_a_loops_scenario_is_made_in_a_fleet_too(
+    sustained_law: CandidateLaw, tmp_path: Path
+) -> None:
+    """It hears the bus of its own loop, and no other loop is attacked."""
+    (tmp_path / "heard.py").write_text(ATTACK)
+    attacked = tmp_path / "attacked.toml"
+    table = f'\n[attack]\nkind = "{tmp_path}/heard.py:Heard"\nonset = 5\nknows = ["bus"]\n'
+    attacked.write_text((SCENARIOS / "sustained.toml").read_text() + table)
+    path = tmp_path / "fleet.toml"
+    path.write_text(ONE + TWO + f'scenario = "{attacked}"\n')
+    hosts = Hosts(sustained_law, tmp_path / "run", "--fleet", str(path))
+
+    def reported(loop: str) -> bool:
+        status = hosts.status(loop)
+        return status is not None and status.step.k > 10
+
+    with hosts.running("x20"):
+        hosts.wait(lambda: reported("one") and reported("two"))
+    traces = {loop: hosts.folder / loop / PLANT_TRACE for loop in ("one", "two")}
+    assert not events_of(traces["one"], "attack")
+    assert [event["onset"] for event in events_of(traces["two"], "attack")] == [5]
+    assert any(set(e["x_next"]) == {0.01} for e in events_of(traces["two"], "transition"))
 
 
 def test_an_interrupt_while_its_threads_are_started_stays_one(
@@ -205,8 +240,8 @@ def test_an_interrupt_while_its_threads_are_started_stays_one(
 def test_every_loop_of_a_fleet_has_a_keyed_coin_after_its_first_block(tmp_path: Path) -> None:
     """In version 1.0.0 no key of a fleet ever served, and its status named the defence."""
     watched = law_of("watched")[1]
-    hosts = Hosts(lambda: numbered(20, "watched", seed=1), watched, tmp_path)
-    names = list(hosts.fleet().loops)
+    hosts = Hosts(watched, tmp_path, "--fleet", "20", "--scenario", "watched", "--seed", "1")
+    names = [f"loop-{number:04d}" for number in range(20)]
     steps = 10
 
     def keyed(name: str) -> bool:

@@ -12,6 +12,7 @@ import pytest
 
 from protocol.messages import ControllerStatus, Status
 from protocol.messages.management import StepStatus
+from runtime.files import replacing
 from runtime.health import HealthFiles, HealthWriter, read_status
 from runtime.run_folder import CONTROLLER_STATUS
 from tests.support.patience import PATIENCE_S
@@ -101,6 +102,15 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
         assert health(path).startswith("bad: this file could not")
         files.write(status(60), 6.0)
     assert health(path) == "ok: 0 % missed lately"
+
+
+def test_what_a_kill_left_half_written_goes_with_the_next_start(tmp_path: Path) -> None:
+    path = tmp_path / "status.json"
+    killed = replacing(path)  # and never left
+    half = killed.__enter__()
+    half.write_bytes(b'{"health":')
+    HealthFiles(path, LOG).write(status(1), 0.0)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_status_begins_with_its_health_and_is_read_without_it(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from plant_service.service import PlantConfig, PlantService
+from plant_service.service import PlantConfig, add_plant
 from protocol.link.effects import Effects, Notice
 from protocol.messages import (
     ControllerHello,
@@ -23,6 +23,8 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import USAGE
 from runtime.health import read_status
+from runtime.host import Host
+from runtime.logs import logger
 from runtime.pace import Pace
 from runtime.perform import Ports, perform
 from runtime.run_folder import CAPTURE, PLANT_STATUS, PLANT_TRACE
@@ -143,8 +145,9 @@ def test_a_plant_that_meets_another_model_alone_ends_with_2(
     put = stranger.publisher(key_of(ControllerHello, "loop")).put
     stranger.subscribe(key_of(PlantHello, "loop"), lambda *_hello: put(answer.wire()))
     config = PlantConfig(sustained, tmp_path, "loop", Pace("fast"), seed=1)
-    service = PlantService(config, MemoryBus(hub), MemoryBus(hub), threading.Event())
-    assert service.run() == USAGE
+    host = Host(MemoryBus(hub), MemoryBus(hub), threading.Event())
+    add_plant(host, config, logger("plant"))
+    assert host.run() == USAGE
     assert read_status(tmp_path / PLANT_STATUS, PlantStatus).phase == "refused"
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import log2
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
@@ -142,10 +143,13 @@ class DesignReport:
         }
 
     def __str__(self) -> str:
-        """Lines for people: first secrecy, cost and attack."""
-        first = [] if self.answer is None else self.answer.lines()
-        last = [] if self.why is None else self.why.lines()
-        return "\n".join([*first, *self._of_sets(), *self._of_safety(), *self._of_rate(), *last])
+        """Lines of 79 columns for people: first secrecy, cost and attack."""
+        worth = [] if self.answer is None else [*self.answer.lines(), ""]
+        reasons = [] if self.why is None else self.why.lines()
+        lines = [*worth, *self._of_sets(), *self._of_safety(), "", *self._of_rate(), *reasons]
+        return "\n".join(
+            fill(line, 79, subsequent_indent="  ", break_on_hyphens=False) for line in lines
+        )
 
     def _gain_source(self) -> str:
         return "given" if self.design.gain_given else "linear quadratic regulator"

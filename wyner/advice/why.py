@@ -79,10 +79,11 @@ class Why:
     def lines(self) -> list[str]:
         """For people."""
         told = [
-            f"in {_hundred(self.agreed)} of 100 settled steps a key can be made; in "
-            f"{_hundred(self.several)} the inputs cannot be told apart, in {_hundred(self.none)} "
-            f"no input explains the state, in {_hundred(self.beyond)} the state is outside D_e of "
-            f"an input ({self.runs} runs)",
+            f"of 100 settled steps ({self.runs} runs):",
+            f"  a key can be made in {_hundred(self.agreed)}",
+            f"  the inputs cannot be told apart in {_hundred(self.several)}",
+            f"  no input explains the state in {_hundred(self.none)}",
+            f"  the state is outside D_e of an input in {_hundred(self.beyond)}",
             f"the two closest predictions are {self.distance:.2g} half-widths of D_c apart "
             f"(median; from {APART:g} on each step agrees), and one and the same in "
             f"{_hundred(self.equal)} of 100 steps",
