@@ -234,7 +234,7 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | 
     UsageError
         When it is not one, or an option beside it is for a single loop.
     """
-    from runtime.fleet import numbered, read_fleet
+    from runtime.fleet import numbered, read_fleet, text_of
 
     if options.fleet is None:
         return None
@@ -242,5 +242,4 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | 
         raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
     if not options.fleet.isdecimal():
         return read_fleet(Path(options.fleet))
-    text = (message or b"").decode("utf-8", errors="surrogateescape")
-    return numbered(int(options.fleet), options.scenario or "", text, options.seed)
+    return numbered(int(options.fleet), options.scenario or "", text_of(message), options.seed)

@@ -11,7 +11,7 @@ from protocol.scenario import Scenario
 from runtime.bus_options import ServiceOptions, buses_of, check_addresses, fleet_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
-from runtime.fleet import Fleet, FleetLoop
+from runtime.fleet import Fleet, FleetLoop, text_of
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
@@ -111,7 +111,9 @@ def run_end(
         with buses_of(options, log.name) as (stopping, field_bus, management):
             host = Host(field_bus, management, stopping, fleet=True)
             return run_fleet(fleet, folder, configured, add, host, log)
-    loop = single_loop(options, message)
+    loop = FleetLoop(
+        id=options.loop, scenario=options.scenario, message=text_of(message), seed=options.seed
+    )
     config = configured(loop, Path())
     if options.check:
         return fine(f"scenario {config.scenario.name}")
@@ -123,12 +125,6 @@ def run_end(
         host = Host(field_bus, management, stopping)
         add(host, config, log, 0)
         return host.run()
-
-
-def single_loop(options: EndOptions, message: bytes | None) -> FleetLoop:
-    """The one loop that the options name."""
-    text = (message or b"").decode("utf-8", errors="surrogateescape")
-    return FleetLoop(id=options.loop, scenario=options.scenario, message=text, seed=options.seed)
 
 
 def check_loops(fleet: Fleet) -> None:

@@ -8,10 +8,13 @@ import errno
 import os
 import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
+
+from runtime.errors import UsageError
 
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
@@ -34,8 +37,9 @@ NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 class NotRegular(OSError):
     """Something that is no regular file stands where a file was to be written or read."""
 
-    def __init__(self, path: Path, what: str = "a link, a device or a pipe") -> None:
-        super().__init__(errno.EINVAL, f"not a regular file ({what})", str(path))
+    def __init__(self, path: Path) -> None:
+        what = "not a regular file (a link, a device, a pipe or a socket)"
+        super().__init__(errno.EINVAL, what, str(path))
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -64,7 +68,7 @@ def _expect_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise NotRegular(path, "a device, a pipe or a socket")
+        raise NotRegular(path)
 
 
 def read_regular(path: Path) -> bytes:
@@ -78,6 +82,23 @@ def read_regular(path: Path) -> bytes:
     """
     with open_regular(path) as file:
         return file.read()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a file.
+
+    Raises
+    ------
+    UsageError
+        With one line, when it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(read_regular(path).decode())
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UsageError(f"{path}: cannot be read: {reason}") from None
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
+        raise UsageError(f"{path}: not TOML: {error}") from None
 
 
 def make_folder(folder: Path) -> None:
@@ -110,10 +131,7 @@ def refuse_irregular(path: Path) -> None:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
         return
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(mode):
-        raise NotRegular(path)
+    _expect_regular(path, mode)
 
 
 def open_private(path: Path, flags: int) -> int:

@@ -9,7 +9,6 @@
 Each loop has a folder of its own below the run's, by its id.
 """
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +19,7 @@ from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
 from protocol.wrong_fields import wrong_fields
 from runtime.errors import UsageError
-from runtime.files import read_regular
+from runtime.files import read_toml
 
 SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and
@@ -75,7 +74,7 @@ class Fleet:
     path: Path | None = None
 
 
-def numbered(count: int, scenario: str, message: str = "", seed: int | None = None) -> "Fleet":
+def numbered(count: int, scenario: str, message: str, seed: int | None) -> Fleet:
     """``count`` loops of one scenario, ``loop-0000`` and on; each has a seed of its own.
 
     Raises
@@ -97,6 +96,11 @@ def numbered(count: int, scenario: str, message: str = "", seed: int | None = No
     return Fleet({loop.id: loop for loop in loops})
 
 
+def text_of(message: bytes | None) -> str:
+    """A message as :attr:`FleetLoop.message` has it; empty where there is none."""
+    return (message or b"").decode("utf-8", errors="surrogateescape")
+
+
 def read_fleet(path: Path) -> Fleet:
     """The fleet of a file.
 
@@ -105,12 +109,7 @@ def read_fleet(path: Path) -> Fleet:
     UsageError
         With a line for each wrong field.
     """
-    try:
-        tables = tomllib.loads(read_regular(path).decode())
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not TOML: {error}") from None
+    tables = read_toml(path)
     try:
         loops = _FleetFile.model_validate(tables).loop
     except ValidationError as error:

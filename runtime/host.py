@@ -122,8 +122,6 @@ class Host:
         Already open; closed by whoever opened them.
     stopping : threading.Event
         Ends :meth:`run`.
-    clock : callable
-        Monotonic seconds.
     fleet : bool
         A loop that fails is dropped and logged, and the host goes on until it is stopped. Otherwise
         the host is there for its loops: it ends with them, and with the first that fails.
@@ -134,13 +132,11 @@ class Host:
         field_bus: Bus,
         management: Bus,
         stopping: threading.Event,
-        clock: Callable[[], float] = time.monotonic,
         *,
         fleet: bool = False,
     ) -> None:
         self.field, self._management = field_bus, management
         self._stopping = stopping
-        self._clock = clock
         self.fleet = fleet
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
@@ -273,10 +269,10 @@ class Host:
                 if len(waiting) > (len(self._loops) if self.fleet else BACKLOG):
                     waiting = deque(dict(waiting).items())
                 with self.turns:
-                    until = self._clock() + TURN_S
+                    until = time.monotonic() + TURN_S
                     for _ in range(min(len(waiting), AT_ONCE)):
                         self._hear(*waiting.popleft())
-                        if self._clock() >= until:
+                        if time.monotonic() >= until:
                             break
         except ChannelClosed:
             pass
@@ -292,7 +288,7 @@ class Host:
         to stop have their turn before these.
         """
         with self.turns:
-            now = self._clock()
+            now = time.monotonic()
             for _ in range(AT_ONCE):
                 if not self._wakes or self._wakes[0][0] > now:
                     break
@@ -312,7 +308,7 @@ class Host:
     def _take(self) -> None:
         """Wait for a message on the management bus or a key block, or for the next wake."""
         try:
-            act = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
+            act = self._inbox.get(timeout=max(self._sleeps_until - time.monotonic(), 0.0))
         except queue.Empty:
             return
         if self._inbox.dropped > self._dropped:
@@ -366,7 +362,7 @@ class Host:
                 if loop.look:
                     self._look_at_links(loop)
                 self._turn.begin()
-            perform(act(self._clock()), loop.ports)
+            perform(act(time.monotonic()), loop.ports)
             loop.started = True
         except Exception as error:
             loop.failed = error
@@ -402,7 +398,7 @@ class Host:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):
-                last = loop.endpoint.stop(self._clock())
+                last = loop.endpoint.stop(time.monotonic())
                 if loop.failed is not None:  # what the journal has is done again by the next start
                     last = (effect for effect in last if not isinstance(effect, Save))
                 perform(last, loop.ports)

@@ -42,14 +42,10 @@ class Reopens(Protocol):
     received: int
     """Messages that have come."""
 
-    @property
-    def name(self) -> str:
-        """Where it listens and connects."""
-
     def links(self) -> frozenset[tuple[str, str]]:
         """The links that the transport says are open."""
 
-    def reopen(self) -> bool:
+    def reopen(self) -> None:
         """Open it again, and everything on it."""
 
 

@@ -27,7 +27,7 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
@@ -76,8 +76,6 @@ class LineWriter:
     ----------
     count : int
         Lines that this writer has written whole.
-    disk : callable
-        Takes the file and the bytes and returns how many were written: `os.write`.
 
     Raises
     ------
@@ -89,7 +87,6 @@ class LineWriter:
     def __init__(self, path: Path, header: Mapping[str, Any], *, new: bool = False) -> None:
         self.path = path
         self.size = 0
-        self.disk: Callable[[int, bytes], int] = _write
         self._whole = True
         self.count = 0
         self._digest = hashlib.sha256()
@@ -126,7 +123,7 @@ class LineWriter:
     def _put(self, data: bytes) -> int:
         assert self._file is not None, "the file is closed"
         try:
-            written = self.disk(self._file, data)
+            written = os.write(self._file, data)
         except OSError as error:
             self._whole = False
             raise OSError(error.errno, error.strerror, str(self.path)) from None
@@ -159,10 +156,6 @@ class LineWriter:
         assert self._file is not None
         os.close(self._file)
         self._file = None
-
-
-def _write(file: int, data: bytes) -> int:
-    return os.write(file, data)
 
 
 def dumps(event: Mapping[str, Any]) -> bytes:

@@ -7,7 +7,7 @@ from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
 from runtime.errors import UsageError
-from runtime.files import read_regular, write_atomically
+from runtime.files import read_regular, read_toml, write_atomically
 from runtime.options import unwritable
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
@@ -22,15 +22,10 @@ def load_scenario(path: str | Path) -> Scenario:
         When the file cannot be read, is not TOML, or has a wrong field.
     """
     try:
-        text = read_regular(Path(path)).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
-        raise ScenarioError([f"{path}: not TOML: {error}"]) from None
-    return parse_scenario(data, str(path))
+        tables = read_toml(Path(path))
+    except UsageError as error:
+        raise ScenarioError(error.lines) from None
+    return parse_scenario(tables, str(path))
 
 
 def scenario_of(text: str) -> Scenario:

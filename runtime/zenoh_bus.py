@@ -474,8 +474,8 @@ class ZenohBus(Bus):
         self._attach(channel, key_expr)
         return channel
 
-    def reopen(self) -> bool:
-        """End the session and open another in its place, with all that is on it; whether it is.
+    def reopen(self) -> None:
+        """End the session and open another in its place, with all that is on it.
 
         It is another peer to all others, so that nothing is left of what they knew of the one
         before. It waits until that can be: for the port, or for a client's router. Messages are
@@ -502,8 +502,7 @@ class ZenohBus(Bus):
                 self._session = session
                 for part in self._parts:
                     part.attach(session)
-                return True
-        return False
+                return
 
     def _detach(self) -> Callable[[], None]:
         """Take every part off the session; what is left to be done wakes the threads that wait."""

@@ -26,8 +26,6 @@ TAP = ("tcp/127.0.0.1:1", "tcp/127.0.0.1:3")
 class Stuck:
     """A bus as the watchdog sees it."""
 
-    name = "tcp/127.0.0.1:1"
-
     def __init__(self) -> None:
         self.received = 0
         self.open: set[tuple[str, str]] = set()
@@ -37,11 +35,10 @@ class Stuck:
     def links(self) -> frozenset[tuple[str, str]]:
         return frozenset(self.open)
 
-    def reopen(self) -> bool:
+    def reopen(self) -> None:
         if self.refuses:
             raise TransportError("tcp/127.0.0.1:1: address already in use")
         self.reopened += 1
-        return True
 
 
 class Watch:

@@ -7,6 +7,7 @@ kill an end at any of its ports, spoil a file between two lives, and ask ``wyner
 
 import json
 import logging
+import os
 import shutil
 import time
 import tomllib
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
+from unittest.mock import patch
 
 from attacker_service.attacker import Attacker
 from controller_service.core import ControllerCore
@@ -357,13 +359,8 @@ def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
 
 def kill(writer: TraceWriter) -> None:
     """Close without an end mark."""
-
-    def gone(_file: int, _data: bytes) -> int:
-        raise OSError
-
-    assert writer.lines is not None
-    writer.lines.disk = gone
-    writer.close()
+    with patch.object(os, "write", side_effect=OSError):
+        writer.close()
 
 
 def read_lines(path: Path) -> Lines:

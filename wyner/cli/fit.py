@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -167,18 +166,12 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    from runtime.files import read_regular
+    from runtime.files import read_toml
     from runtime.scenario_file import others_than
 
     if not path.exists():
         raise UsageError(f"{path}: no such file{others_than(str(path))}")
-    try:
-        return tomllib.loads(read_regular(path).decode())
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UsageError(f"{path}: cannot be read: {reason}") from None
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: not TOML: {error}") from None
+    return read_toml(path)
 
 
 def _plan(args: argparse.Namespace) -> "Plan":
