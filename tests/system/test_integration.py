@@ -234,8 +234,9 @@ def test_a_run_can_be_joined_without_an_option(
             assert wyner("send", "second").returncode == 2, "it is of another folder"
             sent = wyner("send", "second", "--run", "joined")
             assert sent.returncode == 0, sent.stderr
-            assert f"at run {tmp_path / 'joined'}, loop loop: 6 bytes" in sent.stdout
-            assert "2 not delivered yet" in sent.stdout
+            told = " ".join(sent.stdout.split())
+            assert f"at run {tmp_path / 'joined'}, loop loop: 6 bytes" in told
+            assert "2 not delivered yet" in told
             with subprocess.Popen(
                 [sys.executable, "-m", "wyner", "dashboard"],
                 stdout=subprocess.PIPE,
