@@ -54,12 +54,7 @@ class Ends:
     """
 
     def __init__(
-        self,
-        side: Side,
-        rules: Rules,
-        *,
-        messages: "Messages",
-        acts: bool = False,
+        self, side: Side, rules: Rules, *, messages: "Messages", acts: bool = False
     ) -> None:
         self.side: Side = side
         self.views: list[View] = []

@@ -4,20 +4,16 @@ Breadth first with states hashed, so that the first counterexample is a shortest
 state is then left alone with a network that loses nothing, and must go on.
 """
 
-import argparse
 import gc
 import sys
-import time
 from array import array
 from collections.abc import Callable
 from typing import Final
 
-from tests.campaigns.loop import SCHEMES, short_keys
+from tests.campaigns.loop import DIGITS, SCHEMES
+from tests.campaigns.progress import Progress, arguments
 from tests.campaigns.space import LONGEST, SIDES, Space
-
-TOLD_S: Final = 15.0
-"""Seconds between two lines of progress."""
-
+from tests.support.short_keys import short_keys
 
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
 """The last ten states before a message is whole: a key block is made on the way.
@@ -53,8 +49,8 @@ class Exploration:
         self._next_states: list[int] = []
         self._place = 0
         for number, start in enumerate(self.first):
-            if start.state not in self.seen:
-                self._add(start.state, faults, number, 0)
+            if start not in self.seen:
+                self._add(start, faults, number, 0)
         self._turn()
 
     def _add(self, state: int, left: int, parent: int, label: int) -> None:
@@ -139,7 +135,7 @@ def shortest(
 
 def main(argv: list[str] | None = None) -> int:
     """Explore for as long as is asked; 1 when something broke."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, required=True)
     parser.add_argument("--faults", type=int, default=2, help="deaths, lost journals, freezes")
     parser.add_argument("--acts", action="store_true", help="the plant is a device")
@@ -147,38 +143,22 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--coin", action="store_true", help="keys choose the plant's coin")
     parser.add_argument("--from-hello", action="store_true", help="begin before both ends met")
     parser.add_argument("--deepest", type=int, default=100)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
     args = parser.parse_args(argv)
     if args.coin and args.no_keys:
         parser.error("--coin: keys choose it, and --no-keys makes none")
-    space = Space(
-        args.scheme,
-        keys=not args.no_keys,
-        acts=args.acts,
-        coin=args.coin,
-    )
-    until: float = time.monotonic() + args.seconds
-    told_at = 0.0
+    space = Space(args.scheme, keys=not args.no_keys, acts=args.acts, coin=args.coin)
 
     def told() -> str:
         depth, ends = found.depth + found.share, [len(end) for end in space.ends]
         return f"depth {depth:.3f}, {len(found.seen):,} states, {found.events:,} events, {ends}"
 
-    def goes_on() -> bool:
-        nonlocal told_at
-        now = time.monotonic()
-        if now > told_at + TOLD_S:
-            told_at = now
-            print(told(), file=sys.stderr, flush=True)
-        return now < until
-
-    with short_keys():
-        found = Exploration(
-            space, args.faults, slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
-        )
+    starts = slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
+    progress = Progress(args.seconds, told)
+    with short_keys(DIGITS):
+        found = Exploration(space, args.faults, starts)
         going = not found.why
         while going and not found.over and found.depth < args.deepest:
-            going = found.deeper(goes_on)
+            going = found.deeper(progress.goes_on)
     print(told())
     if found.why:
         print(f"{found.why}, after {len(found.path)} events:")

@@ -2,7 +2,7 @@
 
 Each run is a whole loop of processes: controller, plant, tap, and in every other run a
 router. Any of them is killed at random instants and started again, or frozen for up to six
-seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must have come of it.
+seconds, while others are killed; :mod:`tests.campaigns.judged` says what must have come of it.
 With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays. With ``--watched`` the
@@ -10,7 +10,6 @@ coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--s
 travel under the key stream, in lock-step too.
 """
 
-import argparse
 import json
 import os
 import random
@@ -23,8 +22,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-from tests.campaigns.live import LiveLoop, plain_text
-from tests.campaigns.traffic import Traffic
+from tests.campaigns.judged import judged
+from tests.campaigns.live import LiveLoop, Process, plain_text
+from tests.campaigns.progress import Progress, arguments
 
 KILLS_A_RUN: Final = 60
 BYTES_A_KILL: Final = 30
@@ -100,41 +100,45 @@ def one_run(
 ) -> tuple[Counter[str], list[str]]:
     """Kill and freeze; how often, and what was wrong. ``kind``: ``kills``, or of :data:`KINDS`."""
     draw = random.Random(seed)
-    keys = kind == "keys"
-    bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
+    relayed, lock_step = kind == "keys", kind in ("watched", "sealed")
+    bytes_a_kill = RELAYED_BYTES_A_KILL if relayed else BYTES_A_KILL
     text = plain_text(draw, min(200, bytes_a_kill * kills))
-    streamed = kind in ("watched", "sealed")
-    pace = "fast" if streamed else RELAYED_PACE if keys else draw.choice(PACES)
-    relay = RELAY if keys else None
     loop = LiveLoop(
         folder,
         text.encode(),
-        pace=pace,
-        router=kind == "tls" or (not keys and seed % 2 == 1),
+        pace="fast" if lock_step else RELAYED_PACE if relayed else draw.choice(PACES),
+        router=kind == "tls" or (not relayed and seed % 2 == 1),
         tls=kind == "tls",
-        relay=relay,
-        scenario=kind if streamed else "keys",
+        relay=RELAY if relayed else None,
+        scenario=kind if lock_step else "keys",
     )
-    reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
-    counts, wrong = reaper.counts, traffic.wrong
-    with traffic:
+    reaper = Reaper(loop, draw)
+    counts, wrong = reaper.counts, list[str]()
+    expected, operators = [text], list[Process]()
+    loop.start()
+    try:
         time.sleep(draw.uniform(0.5, 1.5))
         while sum(counts[name] for name in loop.processes) < kills and not wrong:
             reaper.strike()
             wrong += reaper.mend()
-            if draw.random() < 0.05 and len(traffic.operators) < 20:
-                traffic.send()
+            if draw.random() < 0.05 and len(operators) < 20:
+                name = f"message-{len(operators)}"
+                expected.append(plain_text(draw, 12))
+                operators.append(loop.send(name, expected[-1]))
             time.sleep(draw.choice((0.0, draw.uniform(0.0, 0.5))))
         reaper.mend(all_of_it=True)
-        traffic.arrive()
-    return counts, traffic.judged(counts)
+        wrong += loop.deliver_all(operators, len(expected))
+    finally:
+        wrong += loop.stop()
+        for operator in operators:
+            operator.kill()
+    return counts, wrong + judged(loop.run_dir, expected, counts)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run after run; 1 when something was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--seed", type=int, default=0, help="of the first run")
     parser.add_argument("--failed", type=Path, default=Path("campaign-failed"), metavar="FOLDER")
     kind = parser.add_mutually_exclusive_group()
@@ -143,7 +147,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.set_defaults(kind="kills")
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    done, until = Counter[str](), time.monotonic() + args.seconds
+    done = Counter[str]()
+    progress = Progress(args.seconds, lambda: dict(done))
     while (killed := sum(done[name] for name in SERVICES)) < args.kills:
         seed = args.seed + done["runs"]
         with tempfile.TemporaryDirectory() as folder:
@@ -154,7 +159,7 @@ def main(argv: list[str] | None = None) -> int:
                 shutil.copytree(folder, args.failed / f"{args.kind}-{seed}")
         done.update(counts, runs=1, wrong=int(bool(wrong)))
         print(json.dumps(done), flush=True)
-        if time.monotonic() > until:
+        if not progress.goes_on():
             break
     return int(done["wrong"] > 0)
 

@@ -16,16 +16,18 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from runtime.addresses import free_endpoints
-from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
+from runtime.run_folder import CONTROLLER_STATUS
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
-from tests.campaigns.relay import main as pass_on
+from tests.campaigns.relay import relay_until_stopped
 from wyner.cli.main import main
 from wyner.deployment.certificates import ensure_certificates
+from wyner.deployment.one_machine import RunOptions, lay_out
 from wyner.fit.toml import as_toml
 
 PRELOADED: Final = (
@@ -42,9 +44,11 @@ PRELOADED: Final = (
 PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2): a service dies with the campaign."""
 
-TAPS: Final = ("--eavesdropper=nearest-centre",)
-"""The capture is what counts here."""
+AT_LAST_S: Final = 120.0
+"""Seconds that a loop has to deliver what is queued, once all is well."""
 
+EAVESDROPPERS: Final = ("nearest-centre",)
+"""The capture is what counts here."""
 
 Command = Callable[[Sequence[str]], int]
 
@@ -142,7 +146,7 @@ def wait_for(holds: Callable[[], bool], seconds: float) -> bool:
 
 
 class LiveLoop:
-    """Controller, plant, tap and, where asked, a router, as processes.
+    """The processes of ``wyner up`` and, where asked, a router or a relay between the two ends.
 
     Parameters
     ----------
@@ -176,82 +180,63 @@ class LiveLoop:
         for module in PRELOADED:
             __import__(module)
         self.folder, self.run_dir = folder, folder / "run"
-        (folder / "message").write_bytes(message)
         self.processes: dict[str, Process] = {}
         self.run_dir.mkdir(mode=0o700)
-        file = self.run_dir / SCENARIO
+        file = folder / "scenario.toml"
         tables = tomllib.loads(scenario_file_of(scenario).read_text())
         tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
         file.write_text(as_toml(tables))
-        knowledge = folder / "knowledge.json"
-        knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())
-        ends = self._routed(tls=tls) if router else self._peers(relay)
-        run = ["--run-dir", str(self.run_dir)]
-        self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
-        common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
-        self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
-        told = ["--message", f"@{folder}/message"]
-        self._add("controller", [*common["controller"], *told, *ends["controller"]])
+        options = RunOptions(scenario=str(file), pace=pace)
+        laid_out, running = lay_out(
+            options, scenario_of(str(file)), EAVESDROPPERS, self.run_dir, message
+        )
+        services = {child.name: child.arguments for child in laid_out.children}
+        self.management = [f"--connect=management={running.controller_management}"]
+        if router:
+            self._route(services, tls=tls)
+        elif relay is not None:
+            self._relay(services, relay)
+        for name, arguments in services.items():
+            self._add(name, arguments)
 
     def _add(self, name: str, arguments: list[str]) -> None:
         self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
 
-    def _peers(self, relay: tuple[float, float, float] | None) -> dict[str, list[str]]:
-        plant, controller, tap, plant_management, controller_management, adversary = free_endpoints(
-            6
+    def _relay(self, services: dict[str, list[str]], odds: tuple[float, float, float]) -> None:
+        """The controller does not connect to the plant; the relay connects to both."""
+        at = "--listen=field="
+        plant, controller = (
+            next(word.removeprefix(at) for word in services[side] if word.startswith(at))
+            for side in ("plant", "controller")
         )
-        self.management = ["--connect", f"management={controller_management}"]
-        field_of = ["--connect", f"field={tap}"]
-        joins = ["--connect", f"management={plant_management}"]
-        if relay is None:
-            joins += ["--connect", f"field={plant}"]
-        else:
-            between = [plant, controller, *map(str, relay), "1"]
-            log = self.folder / "relay.log"
-            self.processes["relay"] = Process("relay", between, log, pass_on)
-        hears = [
-            "--listen",
-            f"field={controller}",
-            "--listen",
-            f"management={controller_management}",
-        ]
-        return {
-            "tap": ["--listen", f"field={tap}", "--listen", f"adversary={adversary}"],
-            "plant": [
-                "--listen",
-                f"field={plant}",
-                "--listen",
-                f"management={plant_management}",
-                *field_of,
-            ],
-            "controller": [*hears, *joins, *field_of],
-        }
+        services["controller"].remove(f"--connect=field={plant}")
+        pass_on = partial(relay_until_stopped, plant, controller, *odds, 1)
+        self.processes["relay"] = Process("relay", [], self.folder / "relay.log", pass_on)
 
-    def _routed(self, *, tls: bool) -> dict[str, list[str]]:
+    def _route(self, services: dict[str, list[str]], *, tls: bool) -> None:
+        """Each service is a client of one router, and has no listener of its own."""
         buses = dict(zip(("field", "management", "adversary"), free_endpoints(3), strict=True))
+        certificates = self.folder / "certs"
         if tls:
             buses = {bus: at.replace("tcp/", "tls/") for bus, at in buses.items()}
-            names = ("router", "tap", "plant", "controller", "operator")
+            names = ("router", "operator", *services)
             hosts = ["localhost", "127.0.0.1"]
-            ensure_certificates(self.folder / "certs", dict.fromkeys(names, hosts), 2)
+            ensure_certificates(certificates, dict.fromkeys(names, hosts), 2)
 
-        def shown(name: str, *buses: str) -> list[str]:
-            return [f"--tls={bus}={self.folder}/certs/{name}" for bus in buses if tls]
+        def shown(name: str, *of: str) -> list[str]:
+            return [f"--tls={bus}={certificates / name}" for bus in of if tls]
+
+        def client(name: str, *of: str) -> list[str]:
+            clients = [f"--client={bus}" for bus in of]
+            return [*clients, *[f"--connect={bus}={buses[bus]}" for bus in of], *shown(name, *of)]
 
         listens = [f"--listen={bus}={at}" for bus, at in buses.items()]
         self._add("router", [*listens, *shown("router", *buses)])
-
-        def client(name: str, *names: str) -> list[str]:
-            clients = [f"--client={bus}" for bus in names]
-            ends = [f"--connect={bus}={buses[bus]}" for bus in names]
-            return [*clients, *ends, *shown(name, *names)]
-
         self.management = client("operator", "management")
-        return {
-            "tap": client("tap", "field", "adversary"),
-            "plant": client("plant", "field", "management"),
-            "controller": client("controller", "field", "management"),
-        }
+        for name, arguments in services.items():
+            other = "adversary" if name == "tap" else "management"
+            own = [word for word in arguments if not word.startswith(("--listen=", "--connect="))]
+            services[name] = [*own, *client(name, "field", other)]
 
     def start(self) -> None:
         """Start whatever does not run."""
@@ -266,14 +251,22 @@ class LiveLoop:
         operator.start()
         return operator
 
-    def mark(self) -> float:
-        """Now, as the time stamps of files have it."""
+    def deliver_all(self, operators: list[Process], messages: int) -> list[str]:
+        """All is well now: wait until every message has arrived; what did not come."""
+        wrong = []
+        if not wait_for(lambda: all_done(operators), AT_LAST_S):
+            wrong.append("an operator has no answer")
         marker = self.folder / "now"
         marker.write_bytes(b"")
-        return marker.stat().st_mtime
+        since_s = marker.stat().st_mtime  # now, as the time stamps of files have it
+        if not wait_for(lambda: self._delivered(since_s) == messages, AT_LAST_S):
+            wrong.append(f"{self._delivered(since_s)} messages arrive although all is well")
+        self.start()
+        time.sleep(0.5)
+        return wrong
 
-    def delivered(self, since_s: float) -> int:
-        """Messages that have arrived, as the controller said after a mark; else -1."""
+    def _delivered(self, since_s: float) -> int:
+        """Messages that have arrived, as the controller said after a time; else -1."""
         path = self.run_dir / CONTROLLER_STATUS
         with suppress(OSError, ValueError, KeyError):
             if path.stat().st_mtime > since_s:

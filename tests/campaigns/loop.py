@@ -1,18 +1,14 @@
 """The loop that is explored: a plant on a line, with key blocks as short as they can be."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from typing import Any, Final
-from unittest.mock import patch
 
 from protocol.link.session import Rules
 from protocol.schemes.base import Scheme
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.sealed import Sealed
 from protocol.schemes.switched import Switched
-from protocol.secret import key_digits, stream
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from tests.support.line import line_rules
@@ -37,18 +33,6 @@ def rules_of(scheme: str, *, keys: bool, coin: bool = False) -> Rules:
     """
     rules = line_rules(alpha=3.0, largest_input=1e9, scheme=SCHEMES[scheme](2))
     return replace(rules, schedule=BLOCK, keyed=coin) if keys else rules
-
-
-@contextmanager
-def short_keys() -> Iterator[None]:
-    """Keys have :data:`DIGITS` digits within."""
-    with patch.object(stream, "digits", _short):
-        yield
-
-
-@cache
-def _short(key: bytes, size: int) -> tuple[int, ...]:
-    return key_digits.digits(key, size)[:DIGITS]
 
 
 def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:

@@ -1,6 +1,5 @@
 """The field bus between two ends that are not connected: it loses, repeats and delays."""
 
-import argparse
 import json
 import random
 import threading
@@ -64,16 +63,18 @@ class Relay:
             bus.close()
 
 
-def main(argv: Sequence[str]) -> int:
+def relay_until_stopped(
+    plant: str,
+    controller: str,
+    loss: float,
+    repeat: float,
+    delay_s: float,
+    seed: int,
+    _arguments: Sequence[str] = (),
+) -> int:
     """Relay until a signal comes; what was passed, lost and repeated goes to standard output."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("plant")
-    parser.add_argument("controller")
-    for name in ("loss", "repeat", "delay_s"):
-        parser.add_argument(name, type=float)
-    parser.add_argument("seed", type=int)
     with stop_on_signals() as stopping:
-        relay = Relay(**vars(parser.parse_args(argv)))
+        relay = Relay(plant, controller, loss, repeat, delay_s, seed)
         stopping.wait()
         relay.close()
     print(json.dumps(relay.counts))

@@ -8,18 +8,15 @@ endpoints, their journals and the shell are those of the services. ``--first`` g
 stopped.
 """
 
-import argparse
 import gc
 import json
 import random
 import sys
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache, partial
 from typing import Any, Final, NamedTuple
-from unittest.mock import patch
 
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
@@ -31,18 +28,16 @@ from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
-from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
 from runtime.perform import CrashPoint
+from tests.campaigns.progress import Progress, arguments
 from tests.support.line import disowned
 from tests.support.once import Onlooker
 from tests.support.recorded_pair import law_of
 from tests.support.safety import differing_key, violations
+from tests.support.short_keys import short_keys
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
-
-TOLD_S: Final = 60.0
-"""Seconds between two lines of progress."""
 
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
@@ -55,7 +50,7 @@ WATCHED_STEPS: Final = 96
 """Steps of a schedule that spends keys: its first ones come when some blocks are confirmed."""
 
 DIGITS: Final = 5
-"""Of a key there, so that the stream is filled and runs dry all the time."""
+"""Of a key there."""
 
 SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 """Blocks of 2, 4, 8 ... transitions, so that some are confirmed within a schedule."""
@@ -262,7 +257,7 @@ def outcome_of(seed: int) -> Outcome:
             device=device,
             own=own,
         )
-        with _changing() if spends else nullcontext():
+        with short_keys(DIGITS) if spends else nullcontext():
             history = link.run(steps=steps, seconds=20.0)
             stuck = link.k < steps
     except AssertionError as error:
@@ -279,18 +274,6 @@ def outcome_of(seed: int) -> Outcome:
     return Outcome(sum(look.blocks.values()), link.cut, len(look.digits.watched), tuple(lines))
 
 
-@contextmanager
-def _changing() -> Iterator[None]:
-    """The stream is filled and runs dry all the time."""
-    with patch.object(stream, "digits", _short):
-        yield
-
-
-def _short(key: bytes, size: int) -> tuple[int, ...]:
-    """The first digits of a key."""
-    return key_digits.digits(key, size)[:DIGITS]
-
-
 def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
     """The same plant in each process."""
     return plant
@@ -298,14 +281,12 @@ def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
 
 def main(argv: list[str] | None = None) -> int:
     """Go through the seeds; 1 when one broke something."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--count", type=int, default=1_000_000)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
     args = parser.parse_args(argv)
     done: Counter[str] = Counter()
-    told_at = time.monotonic()
-    until = told_at + args.seconds
+    progress = Progress(args.seconds, lambda: dict(done))
     for made in (False, True):
         loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
@@ -315,12 +296,8 @@ def main(argv: list[str] | None = None) -> int:
         done.update(acting=int(acts(seed)), broken=int(bool(outcome.wrong)))
         if outcome.wrong:
             print(f"seed {seed}: {outcome.wrong}")
-        now = time.monotonic()
-        if now > until:
+        if not progress.goes_on():
             break
-        if now > told_at + TOLD_S:
-            told_at = now
-            print(dict(done), file=sys.stderr, flush=True)
     print(json.dumps(done))
     return int(done["broken"] > 0)
 

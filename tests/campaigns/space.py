@@ -69,31 +69,14 @@ class Space:
         The plant is a device.
     coin : bool
         Keys choose the coin. There, and with a scheme of the key stream,
-        :func:`tests.campaigns.loop.short_keys` while anything happens.
+        :func:`tests.support.short_keys.short_keys` while anything happens.
     """
 
-    def __init__(
-        self,
-        scheme: str,
-        *,
-        keys: bool,
-        acts: bool = False,
-        coin: bool = False,
-    ) -> None:
+    def __init__(self, scheme: str, *, keys: bool, acts: bool = False, coin: bool = False) -> None:
         self.messages = Messages()
         rules = rules_of(scheme, keys=keys, coin=coin)
         self.keys, self.coin, self.size = keys, coin, rules.size
-        self.ends = tuple(
-            [
-                Ends(
-                    side,
-                    rules,
-                    messages=self.messages,
-                    acts=acts,
-                )
-                for side in SIDES
-            ]
-        )
+        self.ends = tuple([Ends(side, rules, messages=self.messages, acts=acts) for side in SIDES])
         self._networks: list[Network] = []
         self._network_numbers: dict[Network, int] = {}
         self._pushed: dict[tuple[int, int, tuple[int, ...]], int] = {}
@@ -152,10 +135,8 @@ class Space:
                     ):
                         broken = self._differs(side, outcome, theirs)
                     net = self._push(network, side, said) if said else network
-                    if side == 0:
-                        yield Moved(0, outcome, (((net << BITS) | after) << BITS) | theirs, broken)
-                    else:
-                        yield Moved(1, outcome, (((net << BITS) | theirs) << BITS) | after, broken)
+                    ends = (after, theirs) if side == 0 else (theirs, after)
+                    yield Moved(side, outcome, self.state(net, *ends), broken)
 
     def _differs(self, side: int, outcome: Outcome, theirs: int) -> str:
         """Where what one end has done does not go with the other; empty where it does."""
@@ -246,7 +227,7 @@ class Space:
             controller, to_plant = outcome.after, to_plant + outcome.said
         return _Well(plant, controller, to_plant, to_controller, coin, idle), side, outcome
 
-    def begin(self) -> list["Start"]:
+    def begin(self) -> list[int]:
         """The states of a run in which nothing goes wrong, from the first hello on.
 
         To a message, or, where keys choose the coin, to :data:`WATCHED` watched steps; and no
@@ -258,15 +239,13 @@ class Space:
         for side, end in enumerate(self.ends):
             network = self._push(network, side, end.greeting)
         watched = 0
-        starts = [Start(self.state(network, at.plant, at.controller), None)]
+        starts = [self.state(network, at.plant, at.controller)]
         while len(starts) <= LONGEST:
             at, side, outcome = self._well_step(at)
             if outcome.broken:
                 break
             network = self._push(network, side, outcome.said)
-            starts.append(
-                Start(self.state(network, at.plant, at.controller), (side, outcome.label))
-            )
+            starts.append(self.state(network, at.plant, at.controller))
             watched += outcome.watched
             if watched == WATCHED or (not self.coin and self.ends[0].views[at.plant].received):
                 break
@@ -284,13 +263,6 @@ def _keys_differ(size: int, mine: View, other: View) -> str:
     if early:
         return f"digits of block {early[0]} are held before it is confirmed"
     return differing_key(size, mine.held, other.held)
-
-
-class Start(NamedTuple):
-    """A state of a run in which nothing goes wrong, and what led there."""
-
-    state: int
-    how: tuple[int, int] | None
 
 
 class _Well(NamedTuple):

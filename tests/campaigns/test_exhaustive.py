@@ -18,10 +18,11 @@ from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
 from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
-from tests.campaigns.loop import rules_of, short_keys
+from tests.campaigns.loop import DIGITS, rules_of
 from tests.campaigns.space import SIDES, Space
 from tests.secret.test_keys_machine import WRONG as WRONG_STREAMS
 from tests.support.broken import FIRST_COPY, broken, hasty
+from tests.support.short_keys import short_keys
 from tests.support.size import size
 
 Patch = pytest.MonkeyPatch
@@ -50,7 +51,7 @@ def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
 def test_each_digit_serves_once_and_no_honest_step_alarms(
     scheme: str, acts: bool, coin: bool
 ) -> None:
-    with short_keys():
+    with short_keys(DIGITS):
         space = Space(scheme, keys=True, acts=acts, coin=coin)
         found = shortest(space, 3, 2, slice(-4, -1))
     assert not found.why, (found.why, found.path)
@@ -61,7 +62,7 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
 @pytest.mark.parametrize("wrong", WRONG_STREAMS)
 def test_a_wrong_stream_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
     wrong(monkeypatch)
-    with short_keys():
+    with short_keys(DIGITS):
         found = shortest(Space("sealed", keys=True), 4, 1, slice(-4, -1))
     assert found.why
     assert len(found.path) <= 4

@@ -12,7 +12,6 @@ import random
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
-from unittest.mock import patch
 
 import pytest
 
@@ -21,10 +20,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm, Event
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer
-from protocol.secret import key_digits, stream
 from runtime.scenario_file import scenario_of
 from tests.support.broken import broken
 from tests.support.recorded_pair import law_of
+from tests.support.short_keys import short_keys
 from tests.support.size import size
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
@@ -226,7 +225,7 @@ class Jammed(Simulation):
 def jammed(strategy: Strategy, seed: int = 1) -> Jammed:
     """A run under a strategy, up to so many steps of the plant or as many virtual seconds."""
     steps = size(700, 2500)
-    with patch.object(stream, "digits", lambda k, size: key_digits.digits(k, size)[:DIGITS]):
+    with short_keys(DIGITS):
         loop = Jammed(seed, strategy, 200)
         loop.run(steps=steps, seconds=2.0 * steps)
     return loop

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import PlantStatus
+from tests.dashboard.states import batches, plant_of, state_after, with_controller, with_plant
 from tests.support.patience import PATIENCE_S
-from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
+from tests.support.rehearsal import MESSAGE_TEXT
 from tests.support.screens import to_text
 from tests.support.scripted import ScriptedSource
 from tests.support.statuses import changed
@@ -34,13 +34,8 @@ from wyner.dashboard.view import KEYS
 SIZE = (80, 24)
 
 
-def plant_of(state: State) -> PlantStatus:
-    assert state.plant is not None
-    return state.plant
-
-
 def source(steps: int = 300) -> ScriptedSource:
-    return ScriptedSource(Rehearsal().arrivals(steps))
+    return ScriptedSource(batches(steps))
 
 
 def text_of(watch: Watch, now_ns: int = 0) -> str:
@@ -117,9 +112,7 @@ def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
 
 def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
     """Its first captions once stood beside a panel without a picture."""
-    state = State()
-    for batch in Rehearsal().arrivals(100):
-        state = reduce_all(state, batch)
+    state = state_after(100)
     assert next_moment(replace(state, model=None), set()) is None
     told: set[int] = set()
     while (found := next_moment(state, told)) is not None and len(told) < 2:
@@ -379,27 +372,8 @@ def test_headless_lines_tell_the_story_without_control_codes(
     assert len(text.splitlines()) <= 20 / 2 + 2 + 15
 
 
-def after(steps: int) -> State:
-    return reduce_all(State(), (a for batch in Rehearsal().arrivals(steps) for a in batch))
-
-
-def with_plant(state: State, **changes: object) -> State:
-    """The state after one more plant status; the step stands still unless it is changed."""
-    plant = plant_of(state)
-    later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
-    arrival = Arrival(state.seen["plant"] + 1, changed(plant, **later))
-    return reduce_all(state, [arrival])
-
-
-def with_controller(state: State, **changes: object) -> State:
-    assert state.controller is not None
-    later = {"seq": state.controller.seq + 1, "t_ns": state.controller.t_ns + 1, **changes}
-    arrival = Arrival(state.seen["plant"], changed(state.controller, **later))
-    return reduce_all(state, [arrival])
-
-
 def test_what_happens_while_no_step_is_made_is_said_once() -> None:
-    state = after(20)
+    state = state_after(20)
     reporter = Reporter()
     reporter.report(state, 0)
     frame, secrets = {"messages": 1}, {"last_message": "Hello"}
@@ -421,7 +395,7 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
 
 
 def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
-    whole = after(2000)
+    whole = state_after(2000)
     text, under_way = "A second message.", {"symbols": 40, "length": 200}
     state = State()
     for message in (
@@ -446,7 +420,7 @@ def test_lines_show_all_that_is_printable_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     message = "第二の手紙 second ✓ e\u0301"
-    state = after(20)
+    state = state_after(20)
     state = with_controller(state, secrets={"message": message})
     state = with_plant(state, frame={"messages": 1}, secrets={"last_message": message})
     tap = state.taps["list-decoder"].status

@@ -11,7 +11,7 @@ from protocol.messages import ControllerStatus, PlantStatus, TapStatus
 from protocol.statistics import bits_left, stated_left
 from protocol.topics import key_of
 from runtime.inbox import OVERHEAD
-from tests.dashboard.states import batches, plant_of, state_after
+from tests.dashboard.states import batches, plant_of, state_after, with_plant
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.rehearsal import MESSAGE_TEXT
 from tests.support.statuses import changed
@@ -36,13 +36,6 @@ from wyner.dashboard.score import (
     truth_for,
 )
 from wyner.dashboard.source import BusSource
-
-
-def with_plant(state: State, **changes: object) -> State:
-    """The state after one more plant status, later than the last."""
-    plant = plant_of(state)
-    later = changed(plant, **{"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes})
-    return reduce(state, Arrival(state.seen["plant"] + 1, later))
 
 
 def with_tap(state: State, name: str, **changes: object) -> State:

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from protocol.messages.adversary import KeysHeld
 from protocol.vectors import Vector
-from tests.dashboard.states import plant_of, state_after
+from tests.dashboard.states import plant_of, state_after, with_controller, with_plant
 from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.screens import to_text
 from tests.support.size import size
@@ -54,10 +54,6 @@ FOUR_STATES = Rehearsal(
 )
 
 
-def with_plant(state: State, **changes: object) -> State:
-    return replace(state, plant=changed(plant_of(state), **changes))
-
-
 def with_truth(state: State, x: Vector) -> State:
     """An attacked plant is there after its last step."""
     k = max(state.truths)
@@ -68,11 +64,6 @@ def with_truth(state: State, x: Vector) -> State:
 def with_model(state: State, **changes: object) -> State:
     assert state.model is not None
     return replace(state, model=state.model.model_copy(update=changes))
-
-
-def with_controller(state: State, **changes: object) -> State:
-    assert state.controller is not None
-    return replace(state, controller=changed(state.controller, **changes))
 
 
 def with_tap(state: State, which: str, **changes: object) -> State:

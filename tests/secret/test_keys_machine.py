@@ -15,13 +15,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from controller_service import chooser
 from protocol.link.records import Side
 from protocol.schemes.sealed import Sealed
-from protocol.secret import key_digits, stream
 from protocol.secret.stream import NOTHING_HELD, NOWHERE, BlockKeys, Held, KeyStream, Position
 from runtime.perform import CrashPoint
 from tests.support.broken import broken, hasty
 from tests.support.line import keyed_rules
 from tests.support.pair import SIDES, LinePair
 from tests.support.safety import BEYOND, first_held
+from tests.support.short_keys import short_keys
 from tests.support.size import size
 
 SIDE = st.sampled_from(SIDES)
@@ -29,14 +29,12 @@ POINTS: tuple[CrashPoint, ...] = ("saving", "publishing", "tracing", "extracting
 POINT = st.sampled_from(POINTS)
 PLACES = st.lists(st.integers(0, 11), min_size=1, max_size=6)
 
-DIGITS = 5
 PAYLOADS = tuple(bytes([at]) for at in range(200))
 
 
 @pytest.fixture(autouse=True)
-def short_keys() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stream, "digits", lambda k, size: key_digits.digits(k, size)[:DIGITS])
+def five_digits() -> Iterator[None]:
+    with short_keys(5):
         yield
 
 

@@ -1,26 +1,19 @@
-"""The two services on a bus in memory: malformed, foreign models, deadlines, lost journals."""
+"""Both ends of a loop: offers that come too early, two controllers, commands, statuses."""
 
-import json
-import logging
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import pytest
 
-from controller_service.core import ControllerCore
-from controller_service.laws.base import CandidateLaw
-from controller_service.service import ControllerConfig, add_controller
-from plant_service.core import PlantCore
 from plant_service.service import PlantConfig, add_plant
+from protocol.link.effects import Effects, Notice
 from protocol.messages import (
+    ControllerHello,
     ControllerStatus,
     Message,
     Offer,
+    PlantHello,
     PlantModel,
     PlantStatus,
     SendCommand,
@@ -28,284 +21,163 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.errors import DONE, USAGE
+from runtime.errors import USAGE
 from runtime.health import read_status
 from runtime.host import Host
 from runtime.logs import logger
 from runtime.pace import Pace
-from runtime.run_folder import (
-    PLANT_STATUS,
-    PLANT_TRACE,
-)
+from runtime.perform import Ports, perform
+from runtime.run_folder import CAPTURE, PLANT_STATUS, PLANT_TRACE
+from tests.support.line import line_rules
+from tests.support.mail import Mail, mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.statuses import status_of
-from tests.support.traces import events_of, recovered_in
-
-End = TypeVar("End", PlantCore, ControllerCore)
+from tests.support.pair import LinePair, Name
+from tests.support.recorded_pair import RecordedPair, read_lines
+from tests.support.traces import events_of
 
 
-class System:
-    """Both services in threads of this process, on hubs that a test can listen to and disturb."""
+class Heard(RecordedPair):
+    """A loop of which every message is kept, as its reader has it."""
 
-    def __init__(self, scenario: Scenario, law: CandidateLaw, run_dir: Path) -> None:
-        self.scenario, self.law, self.run_dir = scenario, law, run_dir
-        self.field, self.management = MemoryHub(), MemoryHub()
-        self.codes: dict[str, int] = {}
-        self.errors: dict[str, Exception] = {}
-        self.plant_core: PlantCore | None = None
-        self.recovered = partial(recovered_in, run_dir)
-        self._stopping: dict[str, threading.Event] = {}
+    def __init__(self, *args: Any, **more: Any) -> None:
+        self.all: list[Message] = []
+        super().__init__(*args, **more)
 
-    @contextmanager
-    def controller(
-        self,
-        message: bytes | None = None,
-        scenario: Scenario | None = None,
-        name: str = "controller",
-    ) -> Iterator[ControllerCore]:
-        """With another name, one with a run folder of its own."""
-        config = ControllerConfig(
-            scenario or self.scenario,
-            self.folder(name),
-            "loop",
-            law=self.law,
-            message=message,
-            seed=1,
-        )
-        with self._running(
-            name, lambda host: add_controller(host, config, logger("controller"))
-        ) as core:
-            yield core
-
-    @contextmanager
-    def plant(
-        self,
-        pace: str = "fast",
-        steps: int | None = None,
-        scenario: Scenario | None = None,
-        name: str = "plant",
-    ) -> Iterator[PlantCore]:
-        config = PlantConfig(
-            scenario or self.scenario, self.folder(name), "loop", Pace(pace), steps, seed=1
-        )
-        with self._running(name, lambda host: add_plant(host, config, logger("plant"))) as core:
-            yield core
-
-    def folder(self, name: str) -> Path:
-        return self.run_dir if name in ("plant", "controller") else self.run_dir / name
-
-    @contextmanager
-    def _running(self, name: str, add: Callable[[Host], End]) -> Iterator[End]:
-        stopping = self._stopping[name] = threading.Event()
-        host = Host(MemoryBus(self.field), MemoryBus(self.management), stopping)
-        core = add(host)
-        if name == "plant":
-            assert isinstance(core, PlantCore)
-            self.plant_core = core
-
-        def target() -> None:
-            try:
-                self.codes[name] = host.run()
-            except Exception as error:
-                self.errors[name] = error
-
-        thread = threading.Thread(target=target)
-        thread.start()
-        try:
-            yield core
-        finally:
-            stopping.set()
-            thread.join(PATIENCE_S)
-            assert not thread.is_alive()
-
-    def stop(self, name: str) -> None:
-        """Tell a service to end."""
-        self._stopping[name].set()
-
-    @property
-    def k(self) -> int:
-        assert self.plant_core is not None
-        return self.plant_core.state.record.link.k
-
-    wait = staticmethod(wait_for)
+    def said(self, side: Name, message: Mail) -> None:
+        said = message.kind.model_validate_json(message.payload)
+        assert said.wire() == message.payload, "the ends do not validate their own"
+        self.all.append(said)
+        super().said(side, message)
 
 
-@pytest.fixture
-def system(sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path) -> System:
-    return System(sustained, sustained_law, tmp_path)
+class Hurried(Heard):
+    """Somebody answers each measurement before it is sent."""
+
+    def said(self, side: Name, message: Mail) -> None:
+        super().said(side, message)
+        said = self.all[-1]
+        if isinstance(said, Offer):
+            self.mail["plant"].append(mail(said.model_copy(update={"k": said.k + 1})))
 
 
-def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
-    """Whoever answers a measurement before it is sent cannot make the plant step twice a tick."""
-    forger = MemoryBus(system.field)
-    put = forger.publisher(key_of(Offer, "loop")).put
-    answered = set()
-
-    def hurry(_key: str, payload: bytes, _t_ns: int) -> None:
-        offer = Offer.model_validate_json(payload)
-        answered.add(offer.k)
-        put(offer.model_copy(update={"k": offer.k + 1}).wire())
-
-    with system.controller(b"one"), system.plant("x20", steps=60):
-        forger.subscribe(key_of(Offer, "loop"), hurry)  # last, so that the true offer goes first
-        system.wait(lambda: "plant" in system.codes)
-    events = events_of(system.run_dir / PLANT_TRACE, "transition")
-    assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
-    status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
-    assert status.timing.late <= status.step.missed
+def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(tmp_path: Path) -> None:
+    loop = Hurried(tmp_path, b"one")
+    loop.steps(60)
+    answered = {said.k for said in loop.all if isinstance(said, Offer)}
+    assert {e["k"] for e in events_of(tmp_path / PLANT_TRACE, "transition")} <= answered
+    assert loop.now >= 58 * loop.scenario.plant.period_s
 
 
-def replies_on(management: MemoryBus) -> list[SendReply]:
-    """The controller's replies, as they come."""
-    replies: list[SendReply] = []
-    management.subscribe(
-        key_of(SendReply, "loop"),
-        lambda _k, payload, _t: replies.append(SendReply.model_validate_json(payload)),
-    )
-    return replies
-
-
-def test_field_messages_look_the_same_in_both_states(system: System) -> None:
+def test_field_messages_look_the_same_in_both_states(tmp_path: Path) -> None:
+    loop = RecordedPair(tmp_path, b"one", pace="fast")
+    loop.steps(400)
+    loop.stop()
+    lines = read_lines(tmp_path / CAPTURE)
+    seen = {line["message"]["k"]: line["message"] for line in lines if line.get("topic") == "offer"}
     offers: dict[int, set[tuple[str, ...]]] = {1: set(), 2: set()}
-    seen: dict[int, bytes] = {}
-    listener = MemoryBus(system.field)
-    listener.subscribe(
-        key_of(Offer, "loop"),
-        lambda _k, payload, _t: seen.update({json.loads(payload)["k"]: payload}),
-    )
-    with system.controller(b"one"), system.plant(steps=400):
-        system.wait(lambda: "plant" in system.codes)
     state = 1
-    for event in events_of(system.run_dir / PLANT_TRACE, "transition"):
-        offers[state].add(tuple(json.loads(seen[event["k"]])))
+    for event in events_of(tmp_path / PLANT_TRACE, "transition"):
+        offers[state].add(tuple(seen[event["k"]]))
         state = event["s"]
     fields = ("v", "session", "k", "candidates", "cipher", "predictions")
     assert offers[1] == offers[2] == {(*fields, "copy_number", "nonce", "heard", "block", "tag")}
 
 
-# --- forged and foreign ---------------------------------------------------------------------------
+class Rivals(LinePair):
+    """Two controllers, which hear the same; those that are ``away`` hear nothing."""
+
+    def __init__(self) -> None:
+        self.away: set[Name] = set()
+        self.warnings: list[str] = []
+        self.offers: dict[tuple[str, int], set[bytes]] = {}
+        rules = line_rules(alpha=4.0, largest_input=1e9)
+        super().__init__(rules, 0.1, [b"one"], rivals=[b"two"])
+
+    def performer(self, effects: Effects, ports: Ports) -> None:
+        perform(self._noted(effects), ports)
+
+    def _noted(self, effects: Effects) -> Effects:
+        for effect in effects:
+            if isinstance(effect, Notice) and effect.level == "warning":
+                self.warnings.append(effect.text)
+            yield effect
+
+    def said(self, side: Name, message: Mail) -> None:
+        if message.kind is Offer:
+            offer = Offer.model_validate_json(message.payload)
+            self.offers.setdefault((offer.session, offer.k), set()).add(message.payload)
+        super().said(side, message)
+
+    def hear(self, side: Name, message: Mail) -> None:
+        names: tuple[Name, ...] = ("plant",) if side == "plant" else ("controller", "rival")
+        for name in names:
+            if name not in self.away:
+                super().hear(name, message)
 
 
-def other_model(scenario: Scenario) -> Scenario:
-    secrecy = scenario.secrecy.model_copy(update={"alpha": 7.0})
-    return scenario.model_copy(update={"secrecy": secrecy})
-
-
-@pytest.mark.parametrize("stray", ["plant", "controller"])
-def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str) -> None:
-    other = other_model(system.scenario)
-    with system.controller(b"one") as controller, system.plant("x20"):
-        system.wait(lambda: system.k > 10)
-        start = system.plant if stray == "plant" else system.controller
-        with start(scenario=other, name="stray"):
-            system.wait(lambda: system.codes == {"stray": USAGE})
-            k = system.k
-            system.wait(lambda: system.k > k + 20)
-            status = status_of(controller)
-            assert (status.phase, status.detail) == ("running", "")
-    assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
-    sessions = events_of(system.run_dir / PLANT_TRACE, "session")
-    assert sum(1 for _ in sessions) == 1
-
-
-@pytest.mark.slow
-def test_two_controllers_on_one_loop_take_turns(
-    system: System, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_two_controllers_on_one_loop_take_turns() -> None:
     """One of them has the session; the other one comes in when it falls silent."""
-    offers: dict[tuple[str, int], set[bytes]] = {}
-
-    def note(_key: str, payload: bytes, _t_ns: int) -> None:
-        offer = Offer.model_validate_json(payload)
-        offers.setdefault((offer.session, offer.k), set()).add(payload)
-
-    MemoryBus(system.field).subscribe(key_of(Offer, "loop"), note)
-    with (
-        listened(caplog),
-        system.controller(b"two", name="second") as second,
-        system.controller(b"one") as first,
-        system.plant("x20") as plant,
-    ):
-        names = {first.instance: b"one", second.instance: b"two"}
-        system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.state.session.controller
-        assert mine is not None
-        assert system.recovered() == [names.pop(mine)]
-        running = first if mine == first.instance else second
-        k = system.k
-        system.wait(lambda: system.k > k + 200)
-        assert plant.state.session.controller == mine
-        system.stop("controller" if running is first else "second")
-        (other,) = names
-        system.wait(lambda: system.recovered()[1:] == [names[other]])
-    assert all(len(answers) == 1 for answers in offers.values())
-    told = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
-    for service in ("two controllers on one loop", "and not with this one"):
-        assert any(service in t and mine in t and other in t for t in told), (service, told)
+    loop = Rivals()
+    loop.run(lambda: bool(loop.received))
+    ids = {name: loop.ends[name].endpoint.instance for name in ("controller", "rival")}
+    mine = loop.plant.state.session.controller
+    first: Name = "controller" if mine == ids["controller"] else "rival"
+    k = loop.plant.state.record.link.k
+    loop.run(lambda: loop.plant.state.record.link.k > k + 200)
+    assert loop.plant.state.session.controller == mine
+    assert loop.received == [b"one" if first == "controller" else b"two"]
+    loop.away.add(first)
+    loop.run(lambda: len(loop.received) == 2)
+    assert set(loop.received) == {b"one", b"two"}
+    assert all(len(answers) == 1 for answers in loop.offers.values())
+    for said in ("two controllers on one loop", "and not with this one"):
+        assert any(said in text and all(i in text for i in ids.values()) for text in loop.warnings)
 
 
-@contextmanager
-def listened(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """The services' loggers do not propagate."""
-    loggers = [logging.getLogger(name) for name in ("plant", "controller")]
-    for log in loggers:
-        log.addHandler(caplog.handler)
-    try:
-        yield
-    finally:
-        for log in loggers:
-            log.removeHandler(caplog.handler)
+def test_a_plant_that_meets_another_model_alone_ends_with_2(
+    sustained: Scenario, tmp_path: Path
+) -> None:
+    hub = MemoryHub()
+    stranger = MemoryBus(hub)
+    answer = ControllerHello(
+        instance="d" * 16, incarnation=1, fingerprint="e" * 64, verdict="greeting", session=None
+    )
+    put = stranger.publisher(key_of(ControllerHello, "loop")).put
+    stranger.subscribe(key_of(PlantHello, "loop"), lambda *_hello: put(answer.wire()))
+    config = PlantConfig(sustained, tmp_path, "loop", Pace("fast"), seed=1)
+    host = Host(MemoryBus(hub), MemoryBus(hub), threading.Event())
+    add_plant(host, config, logger("plant"))
+    assert host.run() == USAGE
+    assert read_status(tmp_path / PLANT_STATUS, PlantStatus).phase == "refused"
 
 
-# --- files ----------------------------------------------------------------------------------------
-
-
-# --- commands and statuses ------------------------------------------------------------------------
-
-
-def test_an_identifier_belongs_to_one_message(system: System) -> None:
-    management = MemoryBus(system.management)
-    answered = replies_on(management)
-    put = management.publisher(key_of(SendCommand, "loop")).put
-    asked = [("a", b"text"), ("a", b"text"), ("a", b"other"), ("initial", b"mine")]
-    with system.controller(b"one"), system.plant():
-        for name, payload in asked:
-            put(SendCommand(id=name, payload=payload).wire())
-        system.wait(lambda: len(answered) == len(asked))
-        system.wait(lambda: len(system.recovered()) == 2)
+def test_an_identifier_belongs_to_one_message(tmp_path: Path) -> None:
+    loop = Heard(tmp_path, b"one")
+    for name, payload in (("a", b"text"), ("a", b"text"), ("a", b"other"), ("initial", b"mine")):
+        loop.hear("controller", mail(SendCommand(id=name, payload=payload)))
+    loop.until_received(2)
+    loop.steps(10)
+    answered = [said for said in loop.all if isinstance(said, SendReply)]
     assert [r.accepted for r in answered] == [True, True, False, False]
     assert "already queued" in answered[1].detail
     assert "'a'" in answered[2].detail
     assert "'initial'" in answered[3].detail
-    assert system.recovered() == [b"one", b"text"]
+    assert loop.received == [b"one", b"text"]
 
 
 @pytest.mark.slow
-def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system: System) -> None:
-    """The ends do not validate their own; every second status will do, from any moment on."""
-    said: dict[type[Message], list[tuple[float, Message]]] = {}
-
-    def listen(kind: type[Message]) -> None:
-        def hear(_key: str, payload: bytes, _t_ns: int) -> None:
-            message = kind.model_validate_json(payload)
-            assert message.wire() == payload
-            said.setdefault(kind, []).append((time.monotonic(), message))
-
-        MemoryBus(system.management).subscribe(key_of(kind, "loop"), hear)
-
-    for kind in (PlantModel, PlantStatus, ControllerStatus):
-        listen(kind)
-    with system.controller(b"one"), system.plant("x20", steps=700):
-        system.wait(lambda: "plant" in system.codes)
-    models = [message for _, message in said[PlantModel]]
+def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(tmp_path: Path) -> None:
+    """Every second status will do, from any moment on."""
+    loop = Heard(tmp_path, b"one", pace="x20")
+    loop.steps(700)
+    kinds = [type(said) for said in loop.all]
+    models = [said for said in loop.all if isinstance(said, PlantModel)]
+    statuses = [said for said in loop.all if isinstance(said, PlantStatus)]
     assert len(set(map(Message.wire, models))) == 1
-    times = [t for t, _ in said[PlantModel]]
-    assert times[0] < said[PlantStatus][0][0]
-    assert 1 < len(times) <= 1 + len(said[PlantStatus]) / 20
-    assert len(said[ControllerStatus]) > 10
-    statuses = [s for _, s in said[PlantStatus] if isinstance(s, PlantStatus)]
-    counted = [e["k"] for e in events_of(system.run_dir / PLANT_TRACE, "transition")]
+    assert kinds.index(PlantModel) < kinds.index(PlantStatus)
+    assert 1 < len(models) <= 1 + len(statuses) / 20
+    assert kinds.count(ControllerStatus) > 10
+    counted = [e["k"] for e in events_of(tmp_path / PLANT_TRACE, "transition")]
     tails = [{row.k for row in s.secrets.tail} for s in statuses]
     counts = [s.step.transitions for s in statuses]
     sizes = [len(tail) for tail, s in zip(tails, statuses, strict=True) if s.step.k > 100]
@@ -316,6 +188,3 @@ def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system
     late = slice(len(statuses) // 2, len(statuses) // 2 + 20)
     whole = zip(tails[late], counts[late], strict=True)
     assert any(tail >= set(counted[n - 64 : n]) for tail, n in whole)
-
-
-# --- frames and restarts --------------------------------------------------------------------------
