@@ -1,6 +1,7 @@
 """The controller service: its configuration, and its endpoint on the host that runs it."""
 
 import logging
+from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass
 
 from controller_service.core import ControllerCore
@@ -8,7 +9,6 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.channel import channel_of
 from protocol.link.pacing import STATUS_S
-from protocol.link.records import ControllerRecord
 from protocol.link.session import rules_of
 from protocol.streams import CIPHER
 from runtime.chance import new_id, symbols
@@ -58,39 +58,38 @@ def open_controller(
         When the journal cannot be used.
     """
     scenario = config.scenario
-    try:
-        journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
-        loaded = journal.load()
+    with ExitStack() as undone:
+        try:
+            journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
+            undone.callback(journal.close)
+            loaded = journal.load()
+            predict = load_model(scenario, config.folder)
+        except (JournalError, UserCodeError) as error:
+            raise UsageError(str(error)) from None
         if loaded.record is not None and config.clear_alarm:
-            loaded = loaded._replace(record=_going_on(loaded.record))
-        predict = load_model(scenario, config.folder)
-    except (JournalError, UserCodeError) as error:
-        raise UsageError(str(error)) from None
-    except UsageError:
-        journal.close()
-        raise
-    trace = TraceWriter(
-        config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
-    )
-    core = ControllerCore(
-        rules_of(scenario),
-        config.law.candidates,
-        journal,
-        symbols(config.seed, CIPHER),
-        instance=new_id(),
-        period_s=scenario.plant.period_s,
-        loaded=loaded,
-        predict=predict,
-        message=config.message,
-        news=ControllerTelemetry(config.law, status_s),
-        channel=channel_of(scenario, "to_controller", scale=config.pace.scale, seed=config.seed),
-    )
+            alarms = loaded.record.alarms._replace(halted=False)
+            loaded = loaded._replace(record=loaded.record._replace(alarms=alarms))
+        trace = TraceWriter(
+            config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
+        )
+        undone.callback(trace.close)
+        core = ControllerCore(
+            rules_of(scenario),
+            config.law.candidates,
+            journal,
+            symbols(config.seed, CIPHER),
+            instance=new_id(),
+            period_s=scenario.plant.period_s,
+            loaded=loaded,
+            predict=predict,
+            message=config.message,
+            news=ControllerTelemetry(config.law, status_s),
+            channel=channel_of(
+                scenario, "to_controller", scale=config.pace.scale, seed=config.seed
+            ),
+        )
+        undone.pop_all()
     return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS)
-
-
-def _going_on(record: ControllerRecord) -> ControllerRecord:
-    """The record, with offers going on that an alarm has ended."""
-    return record._replace(alarms=record.alarms._replace(halted=False))
 
 
 def add_controller(

@@ -11,6 +11,7 @@ from runtime.logs import logger
 from runtime.options import option, picked
 
 if TYPE_CHECKING:
+    from protocol.scenario import Scenario
     from runtime.fleet import FleetLoop
 
 
@@ -42,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     UsageError
         When an option's value is wrong.
     """
+    from plant_service.adapters.registry import is_model
     from plant_service.service import PlantConfig, add_plant
     from runtime.scenario_file import attack_option
 
@@ -50,7 +52,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--steps: a fleet runs until it is stopped")
 
     def configure(common: dict[str, Any], _loop: "FleetLoop") -> PlantConfig:
-        attack = attack_option(options.attack, common["scenario"].attack, options.steps)
+        scenario: Scenario = common["scenario"]
+        if options.fleet is not None and not is_model(scenario):
+            raise UsageError(f"plant.kind: got {scenario.plant.kind!r}, expected linear in a fleet")
+        attack = attack_option(options.attack, scenario.attack, options.steps)
         return PlantConfig(
             **common, steps=options.steps, attack=attack, clear_safe=options.clear_safe
         )

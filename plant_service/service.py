@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 from plant_service.adapters.base import PlantError
-from plant_service.adapters.registry import is_model
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.plant import FilteredPlant
@@ -68,53 +67,47 @@ def open_plant(
     UsageError
         When the journal cannot be used.
     """
+    scenario, seeded = config.scenario, config.seed is not None
     with ExitStack() as undone:
         try:
-            core, files = _opened(config, now, phase, status_s, undone)
+            journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
+            undone.callback(journal.close)
+            news = PlantTelemetry.of(scenario, config.pace.text, seeded=seeded, status_s=status_s)
+            if (last := journal.last_message()) is not None:
+                news.last_message = last
+            step_s = config.pace.step_s(scenario.plant.period_s)
+            core = open_core(
+                scenario,
+                journal,
+                symbols(config.seed, COIN),
+                noise(config.seed, len(scenario.plant.disturbance.half_widths)),
+                new_id,
+                now,
+                Pacing(step_s, scenario.link.repeats_per_period, now, phase),
+                steps=config.steps,
+                news=news,
+                folder=config.folder,
+                seed=config.seed,
+                sensors=None
+                if config.seed is None
+                else Stream(config.seed, SENSOR, width=scenario.readings),
+                attack=config.attack,
+                channel=channel_of(scenario, "to_plant", scale=config.pace.scale, seed=config.seed),
+            )
+            undone.callback(let_go, core)
+            trace = TraceWriter(
+                config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds
+            )
         except (JournalError, PlantError) as error:
             raise UsageError(str(error)) from None
         undone.pop_all()
-    return core, files
+    return core, Files(journal, trace, config.run_dir / PLANT_STATUS)
 
 
 def let_go(core: PlantCore) -> None:
     """Leave the plant in its safe state when its service cannot start."""
     core.stepper.plant.safe("its service could not start")
     core.stepper.plant.close()
-
-
-def _opened(
-    config: PlantConfig, now: float, phase: float | None, status_s: float, undone: ExitStack
-) -> tuple[PlantCore, Files]:
-    """As :func:`open_plant`; ``undone`` closes what is open where something fails."""
-    scenario, seeded = config.scenario, config.seed is not None
-    journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
-    undone.callback(journal.close)
-    news = PlantTelemetry.of(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    if (last := journal.last_message()) is not None:
-        news.last_message = last
-    step_s = config.pace.step_s(scenario.plant.period_s)
-    core = open_core(
-        scenario,
-        journal,
-        symbols(config.seed, COIN),
-        noise(config.seed, len(scenario.plant.disturbance.half_widths)),
-        new_id,
-        now,
-        Pacing(step_s, scenario.link.repeats_per_period, now, phase),
-        steps=config.steps,
-        news=news,
-        folder=config.folder,
-        seed=config.seed,
-        sensors=None
-        if config.seed is None
-        else Stream(config.seed, SENSOR, width=scenario.readings),
-        attack=config.attack,
-        channel=channel_of(scenario, "to_plant", scale=config.pace.scale, seed=config.seed),
-    )
-    undone.callback(let_go, core)
-    trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    return core, Files(journal, trace, config.run_dir / PLANT_STATUS)
 
 
 def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int = 0) -> PlantCore:
@@ -126,8 +119,7 @@ def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int 
     Raises
     ------
     UsageError
-        When the journal or the plant cannot be used, the plant is in its safe state, or it is no
-        linear model in a fleet.
+        When the journal or the plant cannot be used, or the plant is in its safe state.
     """
     scenario, mark = config.scenario, config.run_dir / PLANT_SAFE
     if config.clear_safe:
@@ -137,11 +129,8 @@ def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int 
         raise UsageError(
             f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
         )
-    phase, status_s = None, STATUS_S
-    if host.fleet:
-        if not is_model(scenario):
-            raise UsageError(f"plant.kind: got {scenario.plant.kind!r}, expected linear in a fleet")
-        phase, status_s = number % SLOTS / SLOTS, FLEET_STATUS_S
+    phase = number % SLOTS / SLOTS if host.fleet else None
+    status_s = FLEET_STATUS_S if host.fleet else STATUS_S
     core, files = open_plant(config, time.monotonic(), phase=phase, status_s=status_s)
     plant = core.stepper.plant
     heard = plant.overheard(host.field, config.loop) if isinstance(plant, FilteredPlant) else None

@@ -105,8 +105,10 @@ def run_end(
     fleet = fleet_of(options, message)
     if fleet is not None:
         if options.check:
-            check_loops(fleet)
+            check_loops(fleet, configured)
             return fine(f"{len(fleet.loops)} loops")
+        if fleet.path is None:  # what one of them cannot be told none can
+            configured(next(iter(fleet.loops.values())), Path())
         folder = run_dir_of(options.run_dir)
         with buses_of(options, log.name) as (stopping, field_bus, management):
             host = Host(field_bus, management, stopping, fleet=True)
@@ -127,8 +129,8 @@ def run_end(
         return host.run()
 
 
-def check_loops(fleet: Fleet) -> None:
-    """Read the scenario of every loop; start nothing.
+def check_loops(fleet: Fleet, configured: Callable[[FleetLoop, Path], EndConfig]) -> None:
+    """Look at the scenario of every loop, and at what is told with it; start nothing.
 
     Raises
     ------
@@ -136,15 +138,15 @@ def check_loops(fleet: Fleet) -> None:
         With the lines of each scenario that is wrong; where loops stand in a file, after the first
         one that has it.
     """
-    first: dict[str, str] = {}
+    first: dict[str, FleetLoop] = {}
     for loop in fleet.loops.values():
-        first.setdefault(loop.scenario, loop.id)
+        first.setdefault(loop.scenario, loop)
     problems: list[str] = []
-    for scenario, loop_id in first.items():
+    for loop in first.values():
         try:
-            scenario_of(scenario)
+            configured(loop, Path())
         except UsageError as error:
-            where = "" if fleet.path is None else f"{loop_id}: "
+            where = "" if fleet.path is None else f"{loop.id}: "
             problems += [f"{where}{line}" for line in error.lines]
     if problems:
         raise UsageError(problems)

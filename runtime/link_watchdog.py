@@ -10,7 +10,7 @@ own clock has jumped, and when nothing comes although the transport says that so
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import inf
 from typing import Final, Protocol
@@ -62,8 +62,6 @@ class LinkWatchdog:
         again, and the others with it.
     silent_s : float
         How long a silence is at least.
-    settle : callable
-        Waits some seconds.
     """
 
     def __init__(
@@ -72,9 +70,7 @@ class LinkWatchdog:
         log: logging.Logger,
         listens: Reopens | None = None,
         silent_s: float = SILENT_S,
-        settle: Callable[[float], object] = time.sleep,
     ) -> None:
-        self._settle = settle
         self._buses, self._log, self._listens = buses, log, listens
         self._least_s = self._patience_s = silent_s
         self._looked_at = inf
@@ -92,7 +88,7 @@ class LinkWatchdog:
         """
         stood_still_s, self._looked_at = now - self._looked_at, now
         if stood_still_s >= FROZEN_S:
-            self._settle(SETTLE_S)
+            time.sleep(SETTLE_S)
             self._reopen(now, f"this process stood still for {stood_still_s:.1f} s")
         elif self._silent(now):
             silent_s = now - self._since

@@ -71,6 +71,10 @@ def test_a_wrong_file_names_the_loop_and_the_field(tmp_path: Path, text: str, sa
         (["plant", "--fleet", "0"], "--fleet: got 0"),
         (["plant", "--fleet", "2", "--loop", "a"], "--loop: is for a single loop"),
         (["plant", "--fleet", "2", "--steps", "5"], "--steps: a fleet runs until"),
+        (["plant", "--fleet", "2", "--attack", "no@step"], "--attack: "),
+        (["plant", "--fleet", "2", "--attack", "no@step", "--check"], "--attack: "),
+        (["plant", "--fleet", "2", "--scenario", "nowhere"], "nowhere: no such file"),
+        (["plant", "--fleet", "2", "--scenario", "pendulum"], "expected linear in a fleet"),
         (["controller", "--fleet", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],
 )

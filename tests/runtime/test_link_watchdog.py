@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from runtime import link_watchdog
 from runtime.bus import TransportError
 from runtime.errors import Failure
 from runtime.link_watchdog import (
@@ -41,6 +42,12 @@ class Stuck:
         self.reopened += 1
 
 
+@pytest.fixture(autouse=True)
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for links to come up."""
+    monkeypatch.setattr(link_watchdog, "SETTLE_S", 0.0)
+
+
 class Watch:
     """A watchdog in virtual time."""
 
@@ -48,7 +55,7 @@ class Watch:
         self.field, self.management = Stuck(), Stuck()
         self.now = 1000.0
         both = (self.field, self.management)
-        self.watchdog = LinkWatchdog(both, LOG, self.field, settle=lambda _s: None)
+        self.watchdog = LinkWatchdog(both, LOG, self.field)
 
     def passes(self, seconds: float, *, comes_each: float = 0.0) -> list[float]:
         """Let time go by; when sessions were opened again, in seconds from now."""
