@@ -37,7 +37,9 @@ def test_the_shipped_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) ->
     assert set(listed) == {load_scenario(path).name for path in SCENARIOS.glob("*.toml")}
     assert main(["design"]) == 0
     out = capsys.readouterr().out
-    assert all(name in out and about["description"] in out for name, about in listed.items())
+    assert max(map(len, out.splitlines()[:-1])) < 80
+    told = " ".join(out.split())
+    assert all(f"{name}: " in told and one["description"] in told for name, one in listed.items())
 
 
 def test_a_new_scenario_is_read_back_and_has_a_design(

@@ -1,6 +1,5 @@
 """Notes of the loops that run on this machine: found, told apart, and gone with their process."""
 
-import fcntl
 import json
 import os
 import subprocess
@@ -58,6 +57,7 @@ def test_a_note_stands_as_long_as_its_run(runtime: Path) -> None:
         assert chosen(None, NOBODY) == loop_named("a")
         assert chosen("a", NOBODY) == chosen("/runs/a", NOBODY) == loop_named("a")
     assert running_loops() == []
+    assert list((runtime / "wyner").iterdir()) == []
     assert chosen(None, NOBODY) is None
     assert (runtime / "wyner").stat().st_mode & 0o77 == 0
 
@@ -69,25 +69,6 @@ def test_a_note_whose_process_was_killed_is_taken_away(another: int, runtime: Pa
     while running_loops():
         pass
     assert not note.exists()
-
-
-def test_a_note_that_is_looked_at_before_it_is_locked_is_made_anew(
-    runtime: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whoever waited for the run took the note for a stale one, and it could never be joined."""
-    lock = fcntl.flock
-    looked: list[int] = []
-
-    def late(file: int, how: int) -> None:
-        if how & fcntl.LOCK_EX and len(looked) < 2:
-            looked.append(len(running_loops()))
-        lock(file, how)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    with announced(loop_named("a")):
-        assert looked == [0, 0]
-        assert running_loops() == [loop_named("a")]
-    assert not list(runtime.rglob("*.json"))
 
 
 def test_of_several_runs_one_must_be_named(another: int) -> None:

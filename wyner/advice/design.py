@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import log2
 from pathlib import Path
-from textwrap import fill
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
@@ -143,13 +142,11 @@ class DesignReport:
         }
 
     def __str__(self) -> str:
-        """Lines of 79 columns for people: first secrecy, cost and attack."""
+        """Lines for people: first secrecy, cost and attack."""
         worth = [] if self.answer is None else [*self.answer.lines(), ""]
         reasons = [] if self.why is None else self.why.lines()
         lines = [*worth, *self._of_sets(), *self._of_safety(), "", *self._of_rate(), *reasons]
-        return "\n".join(
-            fill(line, 79, subsequent_indent="  ", break_on_hyphens=False) for line in lines
-        )
+        return "\n".join(lines)
 
     def _gain_source(self) -> str:
         return "given" if self.design.gain_given else "linear quadratic regulator"

@@ -31,12 +31,11 @@ class ScenarioList:
         }
 
     def __str__(self) -> str:
-        """A line for each."""
-        wide = max(len(s.name) for s in self.scenarios)
+        """Two lines for each."""
         lines = []
         for s in self.scenarios:
             size = f"n {s.n}, m {s.m}, M {s.secrecy.candidates}, {s.plant.period_s:g} s"
-            lines.append(f"{s.name:<{wide}}  {f'{size}, {s.control.law}':<34}  {s.description}")
+            lines += [f"{s.name}: {size}, law {s.control.law}", f"  {s.description}"]
         end = f"The files are in {SCENARIOS}; `wyner new NAME` writes one of your own."
         return "\n".join([*lines, "", end])
 

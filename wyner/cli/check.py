@@ -28,5 +28,5 @@ def run(args: argparse.Namespace) -> int:
         found = check_run(args.run_dir)
     except OSError as error:
         raise UsageError(str(error)) from None
-    show(found, args)
+    show(found, args, indent=17)
     return DONE if found.passed else FAILED

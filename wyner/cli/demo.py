@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from textwrap import fill
 from typing import Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED
@@ -29,9 +28,6 @@ PACE: Final = 5.0
 """Times the plant's clock: a minute in all, and slow enough to be read."""
 
 ATTACKED_PACE: Final = 7.0
-
-WIDTH: Final = 79
-"""Columns of a line of verdict."""
 
 SLOWEST: Final = 8
 """What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
@@ -85,7 +81,7 @@ def run_demo(args: argparse.Namespace) -> int:
     told = _acts(args)
     if told.interrupted:
         return INTERRUPTED
-    show(told, args)
+    show(told, args, indent=3)
     return DONE if told.good else FAILED
 
 
@@ -104,8 +100,8 @@ class _Outcome:
         return {"verdict": self.lines, "as_it_must": self.good, "runs": self.summaries}
 
     def __str__(self) -> str:
-        """A line of verdict for each run, broken between words."""
-        return "\n".join(fill(line, WIDTH, subsequent_indent="   ") for line in self.lines)
+        """A line of verdict for each run."""
+        return "\n".join(self.lines)
 
 
 def _acts(args: argparse.Namespace) -> _Outcome:

@@ -2,9 +2,13 @@
 
 import argparse
 import json
-from typing import Any, Protocol
+from textwrap import fill
+from typing import Any, Final, Protocol
 
 from protocol.text import printable
+
+WIDTH: Final = 79
+"""Columns of a line, which is broken between words; a table's lines stay whole."""
 
 
 class Result(Protocol):
@@ -20,9 +24,32 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
-def show(result: Result, args: argparse.Namespace) -> None:
-    """Print a result; what a terminal would not show as text is spelled out."""
+def show(result: Result, args: argparse.Namespace, *, indent: int = 2, table: bool = False) -> None:
+    """Print a result; what a terminal would not show as text is spelled out.
+
+    Parameters
+    ----------
+    result : Result
+    args : argparse.Namespace
+        With ``json``.
+    indent : int
+        Columns before what does not fit into a line, on those below.
+    table : bool
+        Whether the text is a table.
+    """
     if args.json:
         print(json.dumps(result.to_json()))
-    else:
-        print("\n".join(map(printable, str(result).split("\n"))))
+        return
+    for line in map(printable, str(result).split("\n")):
+        print(line if table else folded(line, indent))
+
+
+def folded(line: str, indent: int) -> str:
+    """A line broken between words, and nowhere else: a path stays whole."""
+    return fill(
+        line,
+        WIDTH,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

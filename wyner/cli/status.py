@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.deployment.status import status_of
 
     found = status_of(_run_dir(args.run_dir))
-    show(found, args)
+    show(found, args, indent=12)
     return FAILED if found.warnings else DONE
 
 

@@ -50,19 +50,18 @@ class CertificateError(Exception):
     """A certificate that cannot be made; the text is one line with the reason."""
 
 
-def check_name(name: str) -> str:
-    """Return ``name`` when it may be a certificate's common name and a folder's name.
+def check_name(name: str) -> None:
+    """Refuse a name that cannot be a certificate's common name and a folder's name.
 
     Raises
     ------
     CertificateError
-        When it may not.
+        When it is none.
     """
     if not _NAME.fullmatch(name):
         raise CertificateError(
             f"name: got {name!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         )
-    return name
 
 
 def check_host(host: str) -> str:
@@ -82,8 +81,8 @@ def check_host(host: str) -> str:
     return f"DNS:{host}"
 
 
-def make_authority(folder: Path, days: int) -> bool:
-    """Make the authority in ``folder``, unless it is there; say whether it was made.
+def make_authority(folder: Path, days: int) -> None:
+    """Make the authority in ``folder``, unless it is there.
 
     Raises
     ------
@@ -97,11 +96,10 @@ def make_authority(folder: Path, days: int) -> bool:
     if certificate.exists():
         for path in (certificate, key):  # openssl would wait at a pipe
             open_regular(path).close()
-        return False
+        return
     # The name differs from one authority to the next, so that a certificate of an older one is
     # refused for its issuer and not for its signature.
     _make(folder, f"wyner authority {secrets.token_hex(4)}", days, key, certificate, AUTHORITY)
-    return True
 
 
 def make_certificate(folder: Path, name: str, hosts: Sequence[str], days: int) -> None:
@@ -157,19 +155,17 @@ def _make(
         (Path(work) / "cert").replace(certificate)
 
 
-def is_current(folder: Path, name: str, margin_days: int = 1) -> bool:
-    """Whether ``folder/name`` is whole, of the authority in ``folder``, and valid for a while."""
-    target = folder / name
-    certificate, authority = target / CERTIFICATE, folder / AUTHORITY_CERTIFICATE
-    if not (certificate.exists() and (target / KEY).exists()):
-        return False
-    if not (target / AUTHORITY_CERTIFICATE).exists():
+def is_current(folder: Path, name: str) -> bool:
+    """Whether ``folder/name`` is whole, of the authority in ``folder``, and valid for a day."""
+    target, authority = folder / name, folder / AUTHORITY_CERTIFICATE
+    if not all((target / file).exists() for file in (AUTHORITY_CERTIFICATE, CERTIFICATE, KEY)):
         return False
     if read_regular(target / AUTHORITY_CERTIFICATE) != read_regular(authority):
         return False
+    certificate = str(target / CERTIFICATE)
     try:
-        _openssl("verify", "-CAfile", str(authority), str(certificate))
-        _openssl("x509", "-in", str(certificate), "-noout", "-checkend", str(margin_days * 86400))
+        _openssl("verify", "-CAfile", str(authority), certificate)
+        _openssl("x509", "-in", certificate, "-noout", "-checkend", str(24 * 3600))
     except CertificateError:
         return False
     return True
@@ -178,15 +174,19 @@ def is_current(folder: Path, name: str, margin_days: int = 1) -> bool:
 def ensure_certificates(folder: Path, hosts: Mapping[str, Sequence[str]], days: int) -> list[str]:
     """Make what is missing or about to end in ``folder``; the names that were made, in order.
 
+    Parameters
+    ----------
+    folder : Path
+    hosts : mapping
+        Names, each checked by :func:`check_name`, with the hosts of :func:`make_certificate`.
+    days : int
+        Days for which they are valid.
+
     Raises
     ------
     CertificateError
         As :func:`make_authority` and :func:`make_certificate`.
     """
-    for name, theirs in hosts.items():
-        check_name(name)
-        for host in theirs:
-            check_host(host)
     make_authority(folder, days)
     missing = [name for name in hosts if not is_current(folder, name)]
     for name in missing:

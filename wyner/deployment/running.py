@@ -13,15 +13,12 @@ import socket
 import stat
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 from runtime.errors import UsageError
-
-TRIES: Final = 100
-"""Notes that are tried, where others take them away before they are locked."""
 
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""
@@ -86,43 +83,29 @@ def notes_folder() -> Path:
 @contextmanager
 def announced(loop: RunningLoop) -> Iterator[None]:
     """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
-    try:
-        path, descriptor = _new_note(notes_folder())
-    except OSError:
-        yield
-        return
-    try:
-        os.truncate(descriptor, 0)
-        os.write(descriptor, json.dumps(asdict(loop)).encode())
-        yield
-    finally:
+    with ExitStack() as kept:
         with suppress(OSError):
-            path.unlink()
-        os.close(descriptor)
+            kept.enter_context(_note_of(loop))
+        yield
 
 
-def _new_note(folder: Path) -> tuple[Path, int]:
-    """A note of a name that nobody else has, open and locked; nobody is waited for.
+@contextmanager
+def _note_of(loop: RunningLoop) -> Iterator[None]:
+    """A note that is whole and locked before it has the name by which others find it.
 
     Processes of two containers that share the folder may have one number, so it is none's name.
-    Where somebody took the note for a stale one before it was locked, it is made anew.
-
-    Raises
-    ------
-    OSError
-        When none can be made.
     """
-    for _ in range(TRIES):
-        path = folder / f"{secrets.token_hex(8)}.json"
-        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-        descriptor = os.open(path, flags, 0o600)
-        with suppress(BlockingIOError, FileNotFoundError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(descriptor), path.lstat()):
-                return path, descriptor
-        os.close(descriptor)
-        path.unlink(missing_ok=True)
-    raise OSError(f"{folder}: a note of this run is taken away each time")
+    path = notes_folder() / f"{secrets.token_hex(8)}.json"
+    with path.with_suffix(".new").open("x") as note:
+        fcntl.flock(note, fcntl.LOCK_EX)
+        json.dump(asdict(loop), note)
+        note.flush()
+        Path(note.name).rename(path)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                path.unlink()
 
 
 def running_loops() -> list[RunningLoop]:
@@ -144,7 +127,7 @@ def _read(note: Path) -> RunningLoop | None:
                 return RunningLoop(**json.load(file))
             note.unlink(missing_ok=True)
     except (OSError, ValueError, TypeError):
-        pass  # being written, or somebody's own file
+        pass  # somebody's own file
     return None
 
 

@@ -186,7 +186,7 @@ class Result:
         """One line, and one more for the first place where the rule is broken."""
         rule, findings = self.rule, self.findings
         note = f" [{self.note}]" if self.note else ""
-        line = f"{self.result}  {rule.name:10} {rule.source:25} {rule.says}{note}"
+        line = f"{self.result}  {rule.name:10} {rule.says}; see {rule.source}{note}"
         if not findings:
             return line
         many = f"{len(findings)} findings" if len(findings) > 1 else "1 finding"
