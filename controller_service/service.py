@@ -92,9 +92,7 @@ def open_controller(
     return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS)
 
 
-def add_controller(
-    host: Host, config: ControllerConfig, log: logging.Logger, _number: int = 0
-) -> ControllerCore:
+def add_controller(host: Host, config: ControllerConfig, log: logging.Logger) -> ControllerCore:
     """Open the controller's end of one loop, and have a host run it.
 
     Raises

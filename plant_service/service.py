@@ -110,8 +110,8 @@ def let_go(core: PlantCore) -> None:
     core.stepper.plant.close()
 
 
-def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int = 0) -> PlantCore:
-    """Open the plant's end of one loop, the nth of its host, and have the host run it.
+def add_plant(host: Host, config: PlantConfig, log: logging.Logger) -> PlantCore:
+    """Open the plant's end of one loop, and have a host run it.
 
     Where the plant fails or the watchdog bites, it is in its safe state, and a mark in the run's
     folder keeps it there.
@@ -129,7 +129,7 @@ def add_plant(host: Host, config: PlantConfig, log: logging.Logger, number: int 
         raise UsageError(
             f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
         )
-    phase = number % SLOTS / SLOTS if host.fleet else None
+    phase = len(host.loops) % SLOTS / SLOTS if host.fleet else None
     status_s = FLEET_STATUS_S if host.fleet else STATUS_S
     core, files = open_plant(config, time.monotonic(), phase=phase, status_s=status_s)
     plant = core.stepper.plant

@@ -57,8 +57,8 @@ Configure = Callable[[dict[str, Any], FleetLoop], C]
 It raises UsageError where an option or the scenario is wrong.
 """
 
-Add = Callable[[Host, C, logging.Logger, int], object]
-"""Opens one end of a loop, the nth of its host, as its journal has it, and adds it to the host.
+Add = Callable[[Host, C, logging.Logger], object]
+"""Opens one end of a loop as its journal has it, and adds it to a host.
 
 It raises UsageError, Failure or OSError where that cannot be.
 """
@@ -125,7 +125,7 @@ def run_end(
     with buses_of(options, log.name) as (stopping, field_bus, management):
         keep_scenario(config.run_dir, loop.scenario)
         host = Host(field_bus, management, stopping)
-        add(host, config, log, 0)
+        add(host, config, log)
         return host.run()
 
 
@@ -164,11 +164,11 @@ def run_fleet(
 
     A loop that cannot be opened, or fails, is logged, and harms no other.
     """
-    for number, loop in enumerate(fleet.loops.values(), start=1):
+    for loop in fleet.loops.values():
         folder = run_dir / loop.id
         try:
             keep_scenario(folder, loop.scenario)
-            add(host, configured(loop, folder), log.getChild(loop.id), number)
+            add(host, configured(loop, folder), log.getChild(loop.id))
         except (UsageError, Failure, OSError) as error:
             log.error("loop %s: %s", loop.id, str(error).replace("\n", "; "))
         except Exception as error:
