@@ -202,14 +202,6 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
     ("arguments", "expected"),
     [
         (
-            ["--listen", "x=tcp/127.0.0.1:1"],
-            "--listen: got 'x=tcp/127.0.0.1:1', expected BUS=VALUE",
-        ),
-        (
-            ["--listen", "field=tcp/127.0.0.1:1", "--tls", "management=a"],
-            "--tls management: expected --listen",
-        ),
-        (
             ["--listen", "field=tls/127.0.0.1:1", "--tls", "field=a", "--tls", "field=b"],
             "--tls field: got several folders, expected one",
         ),

@@ -88,7 +88,7 @@ def test_the_command_says_what_the_promise_rests_on(
     few = ["--sessions", "20", "--steps", "40"]
     command = ["fit", str(folder / "cart.toml"), "-o", str(out), *few]
     assert main([*command, "--excite-steps", "200"]) == 0
-    said = capsys.readouterr().out
+    said = capsys.readouterr().out.replace("\n  ", " ")
     assert "leaves W = D_c + N - A N with probability" in said
     assert "D_c itself rests on N, which is stated" in said
     assert "[defender.noise]" in out.read_text()
