@@ -26,6 +26,7 @@ from runtime.perform import CrashPoint
 from tests.support.line import disowned, line_rules
 from tests.support.mail import Mail, mail
 from tests.support.pair import MEMORY, LinePair, Name
+from tests.support.safety import out_of_order
 from tests.support.size import size
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
@@ -206,13 +207,8 @@ class Link(RuleBasedStateMachine):
         sent = sum(PAYLOADS[: len(self.controllers)], ())
         assert set(inbox) <= set(sent)
         for payloads in PAYLOADS:
-            place = 0
-            for payload in (p for p in inbox if p in payloads):
-                if place < len(payloads) and payload == payloads[place]:
-                    place += 1
-                else:
-                    assert self.ends.forgot
-                    assert payload in payloads[:place]
+            mine = [payload for payload in inbox if payload in payloads]
+            assert list(out_of_order(mine, payloads, again=self.ends.forgot)) == []
 
 
 class Deadlines(Link):

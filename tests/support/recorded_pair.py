@@ -12,6 +12,7 @@ import shutil
 import time
 import tomllib
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -372,3 +373,10 @@ def write_lines(path: Path, lines: Lines) -> None:
     """Write it back, as compact as it was."""
     text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
     path.write_text(text)
+
+
+def edit(path: Path, change: Callable[[Lines], object]) -> None:
+    """Change the lines of a recording in place."""
+    lines = read_lines(path)
+    change(lines)
+    write_lines(path, lines)

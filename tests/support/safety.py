@@ -31,7 +31,7 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
         first = ciphers.setdefault((offer.session, j), offer.cipher)
         if carries and first != offer.cipher:
             yield f"transition {offer.session}/{j}: cipher {first} and then {offer.cipher}"
-    yield from _out_of_order(history.inbox, payloads, again=history.amnesias > 0)
+    yield from out_of_order(history.inbox, payloads, again=history.amnesias > 0)
 
 
 def _counted(t: CountedTransition) -> tuple[object, ...]:
@@ -50,7 +50,7 @@ def _counted(t: CountedTransition) -> tuple[object, ...]:
     )
 
 
-def _out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: bool) -> Iterator[str]:
+def out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: bool) -> Iterator[str]:
     """Messages must arrive in order, once each; where a journal was lost one may come again."""
     place = 0
     for payload in inbox:

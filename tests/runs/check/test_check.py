@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.checked_runs import failed
 from tests.support.lines import unmark
-from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines, write_lines
 from wyner.cli.main import main
 from wyner.runs.check import RULES, Result, check, judge
 from wyner.runs.check.evidence import read_evidence
@@ -148,27 +147,21 @@ def agreement(lines: Lines) -> int:
     return next(i for i, line in enumerate(lines) if i > 40 and line.get("symbol", -1) >= 0)
 
 
-def change(folder: Path, name: Path, edit: Callable[[Lines], None]) -> None:
-    lines = read_lines(folder / name)
-    edit(lines)
-    write_lines(folder / name, lines)
-
-
 def flip_a_verdict(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
+    def change(lines: Lines) -> None:
         t = lines[agreement(lines)]
         t["symbol"] = 1 - t["symbol"]
 
-    change(folder, CONTROLLER_TRACE, edit)
+    edit(folder / CONTROLLER_TRACE, change)
 
 
 def turn_the_coin(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
+    def change(lines: Lines) -> None:
         t = lines[agreement(lines)]
         t["coin"] = 1 - t["coin"]
         t["u"] = t["candidates"][t["coin"]]
 
-    change(folder, PLANT_TRACE, edit)
+    edit(folder / PLANT_TRACE, change)
 
 
 def look_different_in_state_2(folder: Path) -> None:
@@ -179,12 +172,12 @@ def look_different_in_state_2(folder: Path) -> None:
         if line["event"] == "transition"
     }
 
-    def edit(lines: Lines) -> None:
+    def change(lines: Lines) -> None:
         for line in lines:
             if line.get("topic") == "offer" and roles.get(line["message"]["k"]) == "message":
                 line["message"] = dict(reversed(line["message"].items()))
 
-    change(folder, CAPTURE, edit)
+    edit(folder / CAPTURE, change)
 
 
 def test_a_state_that_shows_on_the_bus_fails(copied: Path) -> None:
@@ -201,22 +194,22 @@ def test_a_cipher_that_changed_before_it_was_applied_fails(copied_eventful: Path
     lost = {e["k"] for e in read_lines(copied_eventful / PLANT_TRACE) if e["event"] == "missed"}
     k = min(lost)
 
-    def edit(lines: Lines) -> None:
+    def change(lines: Lines) -> None:
         offers = (line["message"] for line in lines if line.get("topic") == "offer")
         offer = next(message for message in offers if message["k"] == k)
         offer["cipher"] = 1 - offer["cipher"]
 
-    change(copied_eventful, CAPTURE, edit)
+    edit(copied_eventful / CAPTURE, change)
     assert failed(copied_eventful) == {"wire", "whole"}
 
 
 def test_messages_out_of_order_fail(copied_eventful: Path) -> None:
-    def edit(lines: Lines) -> None:
+    def change(lines: Lines) -> None:
         sent = [line for line in lines if line["event"] == "sent"]
         for a, b in zip(sent[::2], sent[1::2], strict=True):
             a["payload"], b["payload"] = b["payload"], a["payload"]
 
-    change(copied_eventful, CONTROLLER_TRACE, edit)
+    edit(copied_eventful / CONTROLLER_TRACE, change)
     assert "messages" in failed(copied_eventful)
 
 

@@ -1,22 +1,20 @@
 """The checks of keys: a right run passes, each thing that is wrong fails the one that says so."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from runtime.run_folder import CAPTURE
 from tap_service.inference.miss_rate import ALL
 from tests.support.checked_runs import failed
+from tests.support.lines import unmark
+from tests.support.recorded_pair import Lines, edit
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run
 from wyner.runs.score.keys import audit_keys
 from wyner.runs.seal import evidence_below
-
-Line = dict[str, Any]
 
 
 @pytest.mark.slow
@@ -79,19 +77,12 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     assert holds in out
 
 
-def rewrite(path: Path, change: Callable[[list[Line]], object]) -> None:
-    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
-    lines = [line for line in lines if line["event"] != "end"]
-    change(lines)
-    path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines))
-
-
 @pytest.mark.slow
 @pytest.mark.integration
 def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(copied: Path) -> None:
     """The capture as if she had missed nothing: all copies 0 of the run."""
 
-    def hear_all(lines: list[Line]) -> None:
+    def hear_all(lines: Lines) -> None:
         example = next(line for line in lines if line["event"] == "field")
         trace = (copied / "plant" / "trace.jsonl").read_bytes().splitlines()
         for event in map(json.loads, trace):
@@ -107,7 +98,8 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
             ):
                 lines.append({**example, "topic": topic, "message": message})
 
-    rewrite(copied / CAPTURE, hear_all)
+    unmark(copied / CAPTURE)
+    edit(copied / CAPTURE, hear_all)
     audit = audit_keys(Run.load(copied), read_evidence(copied).scenario)
     assert audit is not None
     assert audit.held_bits >= 256 * 2  # all rows of each block, the public one included

@@ -26,7 +26,7 @@ from runtime.scenario_file import load_scenario
 from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
-from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines
 from wyner.runs.check import RULES
 
 Line = dict[str, Any]
@@ -53,12 +53,6 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return unmarked(loop.folder)
 
 
-def edit(folder: Path, name: Path, change: Callable[[Lines], object]) -> None:
-    lines = read_lines(folder / name)
-    change(lines)
-    write_lines(folder / name, lines)
-
-
 def made(lines: Lines) -> Lines:
     return [line for line in lines if line["event"] == "transition"]
 
@@ -72,7 +66,7 @@ def on_the_bus(lines: Lines, topic: str) -> Lines:
 
 
 def traces(folder: Path) -> None:
-    edit(folder, PLANT_TRACE, lambda lines: lines.append({"event": "unheard of"}))
+    edit(folder / PLANT_TRACE, lambda lines: lines.append({"event": "unheard of"}))
 
 
 def whole(folder: Path) -> None:
@@ -82,7 +76,7 @@ def whole(folder: Path) -> None:
 
 def replay(folder: Path) -> None:
     for name in (PLANT_TRACE, CONTROLLER_TRACE):
-        edit(folder, name, lambda lines: _raised(numbered(lines, 40)["gauges"]))
+        edit(folder / name, lambda lines: _raised(numbered(lines, 40)["gauges"]))
 
 
 def _raised(gauges: list[float]) -> None:
@@ -90,7 +84,7 @@ def _raised(gauges: list[float]) -> None:
 
 
 def plant(folder: Path) -> None:
-    edit(folder, PLANT_TRACE, lambda lines: made(lines)[40].update(u=[0.123]))
+    edit(folder / PLANT_TRACE, lambda lines: made(lines)[40].update(u=[0.123]))
 
 
 def admissible(folder: Path) -> None:
@@ -111,7 +105,7 @@ def admissible(folder: Path) -> None:
         t["gauges"] = list(verdict.gauges)
 
     for name in (PLANT_TRACE, CONTROLLER_TRACE):
-        edit(folder, name, change)
+        edit(folder / name, change)
 
 
 def messages(folder: Path) -> None:
@@ -120,7 +114,7 @@ def messages(folder: Path) -> None:
     def change(lines: Lines) -> None:
         next(line for line in lines if line["event"] == "recovered")["payload"] = invented
 
-    edit(folder, PLANT_TRACE, change)
+    edit(folder / PLANT_TRACE, change)
 
 
 def alarms(folder: Path) -> None:
@@ -131,20 +125,22 @@ def alarms(folder: Path) -> None:
         alarm |= {"expected": t["x_next"], "gauge": t["gauges"][0]}
         lines.insert(lines.index(t) + 1, alarm)
 
-    edit(folder, CONTROLLER_TRACE, change)
+    edit(folder / CONTROLLER_TRACE, change)
 
 
 def bus(folder: Path) -> None:
     shouted = {"event": "malformed", "t_ns": 1, "key": "wyner/v2/loop/offer", "base64": "aGk="}
-    edit(folder, CAPTURE, lambda lines: lines.insert(50, shouted))
+    edit(folder / CAPTURE, lambda lines: lines.insert(50, shouted))
 
 
 def wire(folder: Path) -> None:
-    edit(folder, CAPTURE, lambda lines: on_the_bus(lines, "measurement")[40]["x"].reverse())
+    edit(folder / CAPTURE, lambda lines: on_the_bus(lines, "measurement")[40]["x"].reverse())
 
 
 def in_step(folder: Path) -> None:
-    edit(folder, CONTROLLER_TRACE, lambda lines: made(lines)[-1].update(k=made(lines)[-1]["k"] + 1))
+    edit(
+        folder / CONTROLLER_TRACE, lambda lines: made(lines)[-1].update(k=made(lines)[-1]["k"] + 1)
+    )
 
 
 def once(folder: Path) -> None:
@@ -152,7 +148,7 @@ def once(folder: Path) -> None:
         first, second = on_the_bus(lines, "offer")[40:42]
         second["nonce"] = first["nonce"]
 
-    edit(folder, CAPTURE, change)
+    edit(folder / CAPTURE, change)
 
 
 def same_keys(folder: Path) -> None:
@@ -160,7 +156,7 @@ def same_keys(folder: Path) -> None:
         shown = [m for m in on_the_bus(lines, "offer") if m["block"] >= 0]
         next(b for a, b in pairwise(shown) if a["block"] == b["block"])["tag"] = "0" * 32
 
-    edit(folder, CAPTURE, change)
+    edit(folder / CAPTURE, change)
 
 
 def blocks(folder: Path) -> None:
@@ -168,7 +164,7 @@ def blocks(folder: Path) -> None:
         block = [line for line in lines if line.get("what") == "confirmed"][-1]
         block["keys"] += 1
 
-    edit(folder, CONTROLLER_TRACE, change)
+    edit(folder / CONTROLLER_TRACE, change)
 
 
 OF_PLAIN = (
