@@ -265,3 +265,16 @@ TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
 TestActingAtOnce = pytest.mark.slow(ActingAtOnce.TestCase)
 for kind in (Link, Deadlines, Acting, TwoControllers, PipelinedLink, ActingAtOnce):
     kind.TestCase.settings = SETTINGS
+
+
+def test_the_plant_takes_an_offer_for_its_own_step_alone() -> None:
+    loop = LinePair(RULES, None)
+    while not (loop.plant.state.link.k >= 3 and loop.mail["plant"]):
+        loop.next()
+    said = loop.mail["plant"].pop(0)
+    k, offer = loop.plant.state.link.k, Offer.model_validate_json(said.payload)
+    for other in (k - 1, k + 1, k + 2):
+        loop.hear("plant", mail(offer.model_copy(update={"k": other})))
+        assert loop.plant.state.link.k == k
+    loop.hear("plant", said)
+    assert loop.plant.state.link.k == k + 1
