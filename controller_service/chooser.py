@@ -139,12 +139,13 @@ class Chooser:
         position = NOWHERE
         if rules.digits and not state.keys.record.refuted:  # the plant holds what is announced
             position = state.keys.stream.name(rules.digits, block)
+        digits = state.digits(position)
         offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             predictions=predictions,
-            cipher=reported.frame.cipher,
+            cipher=state.frame.cipher(reported.frame, state.link, digits),
             copy_number=state.keys.copy(),
             nonce=state.keys.nonce(),
             heard=measurement.copy_number,
@@ -153,8 +154,6 @@ class Chooser:
             stream_block=position.block if rules.digits else None,
             stream_at=position.at if rules.digits else None,
         )
-        if rules.scheme.from_stream:
-            offer = state.frame.sealed(offer, reported.frame, state.link, state.digits(offer))
         state.step = Answered(measurement, offer)
         self.news.enter("running", "")
         yield state.save()
@@ -174,7 +173,7 @@ class Chooser:
         if offer is None or not reports(link, offer, measurement):
             return Reported(link, frame, Judged(state.alarms))
         # The plant says whether they served.
-        digits = state.digits(offer) if measurement.keyed else ()
+        digits = state.digits(offer.position) if measurement.keyed else ()
         counted = rules.count(link, offer, measurement.x_after, digits)
         if digits or not rules.scheme.from_stream:  # else its symbol was not carried: once more
             frame = state.frame.following(counted.after, decided)

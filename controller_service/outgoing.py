@@ -4,7 +4,6 @@ from controller_service.outbox import MessageQueue
 from protocol.agreement import NO_SYMBOL
 from protocol.link.records import LinkRecord, OutgoingRecord
 from protocol.link.session import Rules
-from protocol.messages import Offer
 from protocol.schemes.base import encrypt
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.streams import SymbolSource
@@ -60,7 +59,7 @@ class Outgoing:
 
         The record that follows has it, with where in the queue the next message symbol comes from.
         Under the key stream the message symbol is decided, and each offer encrypts it anew
-        (:meth:`sealed`).
+        (:meth:`cipher`).
         """
         size, scheme = self._rules.size, self._rules.scheme
         pad = scheme.pad(link.state)
@@ -75,16 +74,18 @@ class Outgoing:
         cipher = 0 if scheme.from_stream else encrypt(symbol, pad, size)
         return OutgoingRecord(cipher, symbol, framed, message, offset + framed)
 
-    def sealed(
-        self, offer: Offer, record: OutgoingRecord, link: LinkRecord, digits: tuple[int, ...]
-    ) -> Offer:
-        """The offer with the message symbol under its digits; without any its symbol is random."""
+    def cipher(self, record: OutgoingRecord, link: LinkRecord, digits: tuple[int, ...]) -> int:
+        """The cipher symbol of an offer.
+
+        Under the key stream it is the message symbol under the offer's ``digits``, and random where
+        the offer has none.
+        """
         size = self._rules.size
-        if digits:
-            cipher = encrypt(record.message_symbol, digits[-1], size)
-        else:
-            cipher = self._fresh.symbol(link.transitions, size)
-        return offer.model_copy(update={"cipher": cipher})
+        if not self._rules.scheme.from_stream:
+            return record.cipher
+        if not digits:
+            return self._fresh.symbol(link.transitions, size)
+        return encrypt(record.message_symbol, digits[-1], size)
 
     def _frame_of(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""

@@ -172,7 +172,7 @@ class PlantCore(Endpoint):
         yield from map(Extract, state.keys.tasks())
         if isinstance(state.step, Read):
             offer, _, report = state.step
-            digits = state.digits(offer) if report.keyed else ()
+            digits = state.digits(offer.position) if report.keyed else ()
             yield from self._counted(self.stepper.count(state.step, digits))
         if self._back is not None:
             yield Tell(self.stepper.interrupted(self._back))
@@ -275,7 +275,7 @@ class PlantCore(Endpoint):
         if over == "missed":
             yield from self.stepper.miss()
         elif over == "ended" and isinstance(state.step, Begun):
-            digits = state.digits(state.step.offer)
+            digits = state.digits(state.step.offer.position)
             yield from self._counted(self.stepper.read(state.step, digits))
         if session.accepted and pacing.measurement_due(now):
             yield Publish(self.stepper.measurement())

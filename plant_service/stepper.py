@@ -101,7 +101,7 @@ class Stepper:
             return
         self.news.answered(k, now)
         state.keys.compare(offer)  # first: it may confirm the block of the offer's digits
-        digits = state.digits(offer)
+        digits = state.digits(offer.position)
         if state.keys.on and not digits and state.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there
         keyed = rules.keyed and digits

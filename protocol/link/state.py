@@ -10,8 +10,9 @@ from protocol.link.effects import Save
 from protocol.link.records import ControllerRecord, LinkRecord, PlantRecord
 from protocol.link.session import Rules
 from protocol.link.step import Step
-from protocol.messages import Offer, SendCommand
+from protocol.messages import SendCommand
 from protocol.secret.nonces import NonceSource
+from protocol.secret.stream import Position
 
 
 class EndState(ABC):
@@ -53,10 +54,10 @@ class EndState(ABC):
     def record(self) -> ControllerRecord | PlantRecord:
         """What the journal keeps of it beside the step."""
 
-    def digits(self, offer: Offer) -> tuple[int, ...]:
+    def digits(self, position: Position) -> tuple[int, ...]:
         """The digits of the key stream that an offer names, where this end holds them."""
         count = self.rules.digits
-        return (count and self.keys.stream.at(offer.position, count)) or ()
+        return (count and self.keys.stream.at(position, count)) or ()
 
     def save(
         self,

@@ -81,7 +81,8 @@ def digits(key: bytes, size: int) -> tuple[int, ...]:
 def number_of_digits(keys: bytes, size: int) -> int:
     """How many digits these keys give, which stand one behind the other."""
     count, values = digits_per_word(size)
-    words: tuple[int, ...] = struct.unpack(f">{len(keys) * 8 // WORD_BITS}I", keys)
+    words = len(keys) * 8 // WORD_BITS
     if values == 1 << WORD_BITS:
-        return count * len(words)
-    return count * sum(word < values for word in words)
+        return count * words
+    unpacked: tuple[int, ...] = struct.unpack(f">{words}I", keys)
+    return count * sum(word < values for word in unpacked)
