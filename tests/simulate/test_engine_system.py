@@ -1,8 +1,6 @@
 """The live services' run is the engine's, bit for bit; and another road to the same verdicts."""
 
 import base64
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from protocol.scenario import Scenario
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.plain_loop import plain_run
+from tests.support.programs import wyner
 from tests.support.size import size
 from tests.support.traces import events_of
 from wyner.simulate.engine import simulate_runs, transfer
@@ -31,9 +30,8 @@ def system(name: str) -> tuple[Scenario, CandidateLaw]:
 
 def up(folder: Path, *options: str) -> None:
     """The three services as processes over Zenoh on loopback."""
-    command = [sys.executable, "-m", "wyner.cli.main", "up", "--pace", "fast"]
-    command += ["--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    more = ("--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options)
+    done = wyner("up", "--pace", "fast", *more, timeout=None)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
