@@ -73,13 +73,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"wyner \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("service", ["controller", "plant", "tap"])
-def test_a_service_is_a_module_of_its_own(service: str) -> None:
-    done = python("-m", f"{service}_service", "--help")
-    assert done.returncode == 0, done.stderr
-    assert f"wyner {service}" in done.stdout
-
-
 # --- wrong use ------------------------------------------------------------------------------------
 
 

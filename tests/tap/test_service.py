@@ -123,6 +123,7 @@ def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_pat
     assert [m for _, m in reader.records()] == list(run.messages)
     kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "malformed"]
     assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
+    assert {e["key"] for e in kept} == {key_of(Offer, "loop")}
     assert reader.malformed == wire.statuses[-1].unused.malformed == len(junk)
     assert told(said, "undecodable") == len(junk)
 
