@@ -40,6 +40,7 @@ from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, SCENARIO
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import mirror_line
+from tap_service.config import TapConfig
 from tests.support.mail import Mail, mail
 from tests.support.pair import SIDES, Alive, Mortal, Name, Pair
 from wyner.runs.check import check
@@ -118,8 +119,8 @@ class RecordedPair(Pair):
         One on the bus needs a :attr:`relay` besides.
     seed : int, optional
         Of coins, covers and disturbances.
-    bounds : Bounds, optional
-        Of the traces.
+    bounds, captured : Bounds, optional
+        Of the traces, and of the tap's capture.
     last : int, optional
         The plant's last step.
 
@@ -142,6 +143,7 @@ class RecordedPair(Pair):
         changes: tuple[tuple[str, str], ...] = (),
         seed: int | None = 1,
         bounds: Bounds | None = None,
+        captured: Bounds | None = None,
         last: int | None = None,
     ) -> None:
         super().__init__()
@@ -162,9 +164,8 @@ class RecordedPair(Pair):
         self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCENARIO).write_text(text, encoding="utf-8")
-        view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        header = {"capture_version": 2, "view": view}
-        self._capture = TraceWriter(folder / CAPTURE, "tap", header)
+        header = {"capture_version": 2, **TapConfig(folder, self.scenario.knowledge()).header()}
+        self._capture = TraceWriter(folder / CAPTURE, "tap", header, captured)
         self._clear_alarm = False
         for side in SIDES:
             self.start(side)
