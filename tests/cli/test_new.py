@@ -248,7 +248,7 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     rows = tmp_path / "s.csv"
     assert main(["sweep", str(sweep), "--output", str(rows), "--jobs", "1"]) == 0
     out = capsys.readouterr().out
-    assert "mine keys, messages" in out
+    assert "  mine  " in out
     with rows.open() as file:
         added = list(csv.DictReader(file))
     assert all(int(r["tap.mine.right"]) == int(r["tap.mine.agreed"]) > 50 for r in added)

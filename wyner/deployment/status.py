@@ -21,7 +21,7 @@ from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
 from wyner.findings import Findings
 from wyner.runs.run import Run, RunError
-from wyner.runs.score.report import unused_in_words
+from wyner.runs.score.words import unused_in_words
 
 OLD_S: Final = 5.0
 """A report older than this is of a service that is frozen or gone: it writes one each second (the
