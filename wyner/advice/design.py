@@ -26,6 +26,7 @@ from wyner.advice import rate as settling
 from wyner.advice.answer import Answer, answer
 from wyner.advice.rate import SettledRate, long_runs, settled_rate
 from wyner.advice.why import Why, why
+from wyner.findings import Findings
 from wyner.simulate.engine import SimulationError
 from wyner.simulate.missed import missed_steps
 
@@ -40,36 +41,22 @@ INVARIANCE: Final = {
 """What was found of T_0, by :func:`controller_service.sets.invariance.invariance`."""
 
 
-@dataclass(frozen=True)
-class DesignReport:
-    """What a scenario's design is worth.
+@dataclass(frozen=True, eq=False)
+class DesignReport(Findings):
+    """What a scenario's design is worth; its lines begin with secrecy, cost and attack.
 
     Parameters
     ----------
     scenario : Scenario
     law : CandidateLaw
         With the design, its sets and gain.
-    figures : dict
-        One object for machines.
-    lines : list of str
-        For people: first secrecy, cost and attack.
     carries_nothing : bool
         Whether the loop was simulated, and cannot start or leaves the sets.
     """
 
     scenario: Scenario
     law: CandidateLaw
-    figures: dict[str, Any]
-    lines: list[str]
     carries_nothing: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """One object for machines."""
-        return self.figures
-
-    def __str__(self) -> str:
-        """Lines for people."""
-        return "\n".join(self.lines)
 
 
 def design_report(scenario: Scenario, folder: Path) -> DesignReport:
@@ -134,7 +121,7 @@ def design_report(scenario: Scenario, folder: Path) -> DesignReport:
     lines.append("")
     lines += [_without_rate(figures)] if rate is None else rate.lines()
     lines += [] if reasons is None else reasons.lines()
-    return DesignReport(scenario, law, figures, lines, simulated and rate is None)
+    return DesignReport(figures, lines, scenario, law, simulated and rate is None)
 
 
 def _worth(

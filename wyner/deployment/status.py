@@ -19,6 +19,7 @@ from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
+from wyner.findings import Findings
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.words import unused_in_words
 
@@ -30,30 +31,17 @@ tap each two)."""
 S = TypeVar("S", bound=Status)
 
 
-@dataclass(frozen=True)
-class Reported:
+@dataclass(frozen=True, eq=False)
+class Reported(Findings):
     """What the services of a run, or of each loop of a fleet, last said of themselves.
 
     Parameters
     ----------
-    figures : dict
-        For machines: the statuses as they were written, and the warnings.
-    lines : list of str
-        For people: a line for each topic.
     warnings : list of str
+        Its last lines.
     """
 
-    figures: dict[str, Any]
-    lines: list[str]
     warnings: list[str]
-
-    def to_json(self) -> dict[str, Any]:
-        """The statuses as they were written, and the warnings."""
-        return self.figures
-
-    def __str__(self) -> str:
-        """One line for each topic, then one for each warning."""
-        return "\n".join([*self.lines, *(f"warning: {text}" for text in self.warnings)])
 
 
 def status_of(run_dir: Path) -> Reported:
@@ -69,8 +57,8 @@ def status_of(run_dir: Path) -> Reported:
         return _of_run(run_dir)
     warnings = [f"{name}: {text}" for name, one in loops.items() for text in one.warnings]
     well = sum(not one.warnings for one in loops.values())
-    line = f"{well} of {len(loops)} loops without a warning"
-    return Reported({"loops": {n: one.figures for n, one in loops.items()}}, [line], warnings)
+    lines = [f"{well} of {len(loops)} loops without a warning", *map(_warned, warnings)]
+    return Reported({"loops": {n: one.figures for n, one in loops.items()}}, lines, warnings)
 
 
 def _of_run(run_dir: Path) -> Reported:
@@ -103,7 +91,11 @@ def _of_run(run_dir: Path) -> Reported:
         "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
         "warnings": warnings,
     }
-    return Reported(figures, lines, warnings)
+    return Reported(figures, [*lines, *map(_warned, warnings)], warnings)
+
+
+def _warned(text: str) -> str:
+    return f"warning: {text}"
 
 
 def _end(path: Path, kind: type[S]) -> S | None:

@@ -124,8 +124,8 @@ def _csv_columns(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
         raise FitError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FitError(f"{path}: not UTF-8 text, expected CSV or a MATLAB file (.mat)") from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(keepends=True), 1) if line.strip()]
-    lines = [(i, line) for i, line in lines if not line.startswith("#")]
+    numbered = enumerate(text.splitlines(keepends=True), 1)
+    lines = [(i, line) for i, line in numbered if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
         raise FitError(f"{path}: expected a line of names, and a line of numbers for each step")
     separator = max(",;\t", key=lines[0][1].count)
@@ -165,15 +165,14 @@ def _matlab_columns(path: Path) -> dict[str, Array]:
         raise FitError(f"{path}: not a MATLAB file before version 7.3: {why}") from None
     columns: dict[str, Array] = {}
     for name, value in found.items():
-        if name.startswith("__") or not np.issubdtype(np.asarray(value).dtype, np.number):
+        table = np.atleast_2d(value)
+        if name.startswith("__") or not np.issubdtype(table.dtype, np.number):
             continue
-        table = np.atleast_2d(np.asarray(value, dtype=float))
-        if table.shape[0] == 1:
-            table = table.T
-        if table.shape[1] == 1:
-            columns[name] = table[:, 0]
+        rows = (table if len(table) > 1 else table.T).astype(float)
+        if rows.shape[1] == 1:
+            columns[name] = rows[:, 0]
         else:
-            columns |= {f"{name}_{i + 1}": table[:, i] for i in range(table.shape[1])}
+            columns |= {f"{name}_{i + 1}": rows[:, i] for i in range(rows.shape[1])}
     return columns
 
 

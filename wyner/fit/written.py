@@ -2,46 +2,32 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from protocol.scenario import Scenario
 from protocol.statistics import STATED
+from wyner.findings import Findings
 from wyner.fit.conformal import CONFIDENCE
 from wyner.fit.first_scenario import WIDER, first_scenario
 from wyner.fit.recording import RecordedFit, Recording
 from wyner.fit.toml import as_toml
 
+NO_INTERVAL: Final = {"violation": STATED, "confidence": STATED}
+
 
 @dataclass(frozen=True, eq=False)
-class Written:
-    """A scenario's file, and what is said of it.
+class Written(Findings):
+    """What is said of a scenario's file.
 
     Parameters
     ----------
-    output : Path
     text : str
         What the file holds.
-    figures : dict
-        What was found, for machines.
-    lines : list of str
-        The same for people.
     """
 
-    output: Path
     text: str
-    figures: dict[str, Any]
-    lines: list[str]
-
-    def to_json(self) -> dict[str, Any]:
-        """What was found; its bound is stated with a confidence, and has no interval."""
-        stated = {"violation": STATED, "confidence": STATED}
-        return {"output": str(self.output), **self.figures, "no_interval": stated}
-
-    def __str__(self) -> str:
-        """What was found, and where it is."""
-        return "\n".join(self.lines)
 
 
 def from_recording(
@@ -77,6 +63,7 @@ def from_recording(
     if not starts:
         warnings.append(f"there is no terminal set yet: `wyner design {output}` says why")
     figures = {
+        "output": str(output),
         "A": model.A.tolist(),
         "B": model.B.tolist(),
         "standard_errors": model.errors.tolist(),
@@ -86,6 +73,7 @@ def from_recording(
         "violation": fit.violation,
         "confidence": CONFIDENCE,
         "warnings": warnings,
+        "no_interval": NO_INTERVAL,
     }
     lines = [f"A and B from {steps['identified']} steps, condition {model.condition:.3g}"]
     for i, name in enumerate(recording.states):
@@ -96,7 +84,7 @@ def from_recording(
     lines.append("D_c half-widths " + "  ".join(f"{w:.4g}" for w in fit.half_widths))
     lines += [promise, *(f"warning: {line}" for line in warnings)]
     lines.append(f"wrote {output}; `wyner design {output}` says what the loop carries")
-    return Written(output, text, figures, lines)
+    return Written(figures, lines, text)
 
 
 def from_plant(tables: dict[str, Any], scenario: Scenario, output: Path, seed: int) -> Written:
@@ -125,12 +113,16 @@ def from_plant(tables: dict[str, Any], scenario: Scenario, output: Path, seed: i
     if N is not None:
         promise += "; D_c itself rests on N, which is stated"
     head = f"Written by wyner fit, seed {seed}.\n{promise[0].upper()}{promise[1:]}."
-    figures: dict[str, Any] = {"seed": seed, "half_widths": list(widths)}
+    figures = {
+        "output": str(output),
+        "seed": seed,
+        "half_widths": list(widths),
+        **({} if N is None else {"noise": N.model_dump(exclude_none=True)}),
+        "calibration": certificate.model_dump(),
+        "no_interval": NO_INTERVAL,
+    }
     lines = ["D_c half-widths " + " ".join(f"{w:.4g}" for w in widths)]
-    if N is not None:
-        figures["noise"] = N.model_dump(exclude_none=True)
-        if N.half_widths is not None:
-            lines.append("N half-widths " + " ".join(f"{w:.4g}" for w in N.half_widths))
-    figures["calibration"] = certificate.model_dump()
+    if N is not None and N.half_widths is not None:
+        lines.append("N half-widths " + " ".join(f"{w:.4g}" for w in N.half_widths))
     lines += [promise, f"wrote {output}"]
-    return Written(output, as_toml(tables, head), figures, lines)
+    return Written(figures, lines, as_toml(tables, head))
