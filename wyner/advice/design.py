@@ -217,7 +217,8 @@ def _of_sets(design: Design, told: dict[str, Any]) -> Iterator[str]:
             )
         fewer = f" ({why_fewer}; {told['horizon_asked']} were asked)"
     yield f"sets T_0..T_{design.horizon} {when} {design.seconds:.3f} s{fewer}"
-    rows = "; ".join(" ".join(f"{v:.6g}" for v in row) for row in told["gain"])
+    # what rounding has left of a zero is shown as one
+    rows = "; ".join(" ".join(f"{round(v, 12) + 0.0:.6g}" for v in row) for row in told["gain"])
     yield f"K ({told['gain_source']}): {rows}"
     yield _terminal(design.terminal)
     yield INVARIANCE[told["invariance"]]

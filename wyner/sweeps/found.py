@@ -80,9 +80,9 @@ class FoundBySweep:
             [
                 *lines,
                 "",
-                f"{self.rows} rows in {self.output}, {self.new} of them new",
-                f"rates and intervals, a row a point, in {self.rates}; "
-                f"`wyner sweep {self.rates} --plot` draws them",
+                f"{self.rows} rows, {self.new} of them new: {self.output}",
+                f"Rates and intervals, a row a point: {self.rates}",
+                f"Draw them: wyner sweep {self.rates} --plot",
             ]
         )
 
