@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from runtime import options
 from runtime.errors import DONE, Failure, UsageError, writing
-from runtime.files import read_toml, write_atomically
-from runtime.scenario_file import others_than
-from runtime.shipped import scenario_file_of
+from runtime.files import write_atomically
 from wyner.cli.results import add_json, show
 from wyner.fit.plan import Plan
 
@@ -105,6 +103,9 @@ def _fit_recording(args: argparse.Namespace) -> "Written":
 def _fit_plant(args: argparse.Namespace) -> "Written":
     from controller_service.laws.errors import ProgramError
     from controller_service.sets.design import SynthesisError
+    from runtime.files import read_toml
+    from runtime.scenario_file import others_than
+    from runtime.shipped import scenario_file_of
     from wyner.fit.conformal import rank
     from wyner.fit.fitting import fit
     from wyner.fit.identification import FitError
