@@ -12,17 +12,15 @@ from protocol.messages import Measurement
 from protocol.secret.stream import Position
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.lines import OtherLine
+from wyner.runs.trace import Trace
 
 COLUMNS = ("session", "j", "k", "gauges", "expected", "keyed", "x", "candidates", "x_next")
 MORE = ("block", "box", "predictions")
 """Columns that a test sees; the last where there are any."""
 
 
-def alarms(e: Evidence) -> Findings:
+def alarms(e: Evidence, trace: Trace) -> Findings:
     """An alarm is told where its test failed, and nowhere else."""
-    trace = e.controller
-    if trace is None:
-        return
     names = (*COLUMNS, *(name for name in MORE if name in (trace.rows.dtype.names or ())))
     rules, record, newest = e.rules, AlarmRecord(), None
     t: dict[str, Any] | None = None
