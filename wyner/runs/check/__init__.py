@@ -55,8 +55,14 @@ class Rule:
 RULES: Final = (
     Rule("traces", "rule 5", "lines are as they should be, transitions numbered without a gap"),
     Rule("whole", "rule 6", "every file is as its writer left it, of one scenario, and as far on"),
-    Rule("replay", "(20), (21), rule 4", "verdicts, keys and fallback follow from the raw numbers"),
-    Rule("paper", "Figs. 5, 6, (22)", "the paper's test and automata, written again, agree"),
+    Rule(
+        "replay",
+        "(20), (21), rule 4",
+        "verdicts, keys, symbols and fallback follow from the raw numbers",
+    ),
+    Rule(
+        "paper", "Figs. 5, 6, (22)", "the paper's test and automata, written a second time, agree"
+    ),
     Rule("plant", "(6), (14), (15)", "each step applies candidate b_r, and leads into its Reach^c"),
     Rule("admissible", "(27)", "every candidate is in U and leads into T_(i-1) ~ D_c"),
     Rule("messages", "rule 7", "frames pass their check, are reported, and follow the queue"),
@@ -64,7 +70,9 @@ RULES: Final = (
     Rule("bus", "assumption 2", "public fields alone, and they look the same in both states"),
     Rule("wire", "rules 1 to 3", "what the tap read is the plant's, a repeated message the same"),
     Rule("in-step", "proposition 3", "both ends agree on every transition"),
-    Rule("once", "rules 8, 11", "no key, digit, nonce or copy 0 serves or leaves twice"),
+    Rule(
+        "once", "section 4.2, rules 8, 11", "no key, digit, nonce or copy 0 serves or leaves twice"
+    ),
     Rule("same-keys", "rules 9, 11", "tags, counted copies and keyed coins are alike at both ends"),
     Rule("blocks", "rule 10", "a block makes as many keys as its transitions allow"),
 )
