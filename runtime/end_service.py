@@ -104,11 +104,9 @@ def run_end(
 
     fleet = fleet_of(options, message)
     if fleet is not None:
+        check_loops(fleet, configured)
         if options.check:
-            check_loops(fleet, configured)
             return fine(f"{len(fleet.loops)} loops")
-        if fleet.path is None:  # what one of them cannot be told none can
-            configured(next(iter(fleet.loops.values())), Path())
         folder = run_dir_of(options.run_dir)
         with buses_of(options, log.name) as (stopping, field_bus, management):
             host = Host(field_bus, management, stopping, fleet=True)

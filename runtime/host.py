@@ -327,7 +327,7 @@ class Host:
         count = self.field.appearances()
         if count != loop.appearances:
             loop.appearances = count
-            perform(loop.endpoint.appear(count), loop.ports)
+            perform(loop.endpoint.appear(count), loop.ports.do)
 
     def _crowding(self, name: str) -> bool:
         """Whether messages leave more often than the loop knew when it made its last one.
@@ -362,7 +362,7 @@ class Host:
                 if loop.look:
                     self._look_at_links(loop)
                 self._turn.begin()
-            perform(act(time.monotonic()), loop.ports)
+            perform(act(time.monotonic()), loop.ports.do)
             loop.started = True
         except Exception as error:
             loop.failed = error
@@ -401,7 +401,7 @@ class Host:
                 last = loop.endpoint.stop(time.monotonic())
                 if loop.failed is not None:  # what the journal has is done again by the next start
                     last = (effect for effect in last if not isinstance(effect, Save))
-                perform(last, loop.ports)
+                perform(last, loop.ports.do)
         finally:
             with self._lost(loop):
                 loop.ports.close()

@@ -11,83 +11,61 @@ with the next step. So a process may die between any two of these lines:
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
-puts it into the ports (:class:`CrashingPorts`): every one of them is called by :func:`perform`
-alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes` itself.
+has the effects carried out by a :class:`Crashing`. A device is asked for nothing here; a
+make-believe one asks :meth:`Crashing.passes` itself.
 """
 
-from typing import Literal, Protocol
+from collections.abc import Callable
+from typing import Final, Literal
 
-from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
-from protocol.link.events import Event
-from protocol.messages import Message, Status
-from protocol.secret.blocks import ClosedBlock
+from protocol.link.effects import Effect, Effects, Extract, Publish, Save, Tell
 
+Do = Callable[[Effect], None]
+"""Carries out one effect of one end of one loop.
 
-class Ports(Protocol):
-    """Where effects go: journal, bus, trace, log and health file of one end of one loop."""
-
-    def save(self, save: Save) -> None:
-        """Save the record and what comes along; it survives what it has to on return."""
-
-    def publish(self, message: Message) -> None:
-        """Send it, without waiting for anybody."""
-
-    def trace(self, event: Event) -> None:
-        """Write it down for whoever checks the run."""
-
-    def extract(self, block: ClosedBlock) -> None:
-        """Have its keys extracted, without waiting for them."""
-
-    def log_notice(self, notice: Notice) -> None:
-        """Log it."""
-
-    def health(self, status: Status) -> None:
-        """Replace the status in the run's folder."""
+A save is on the disk on return, as far as it has to be; publishing and extracting wait for nobody.
+"""
 
 
-def perform(effects: Effects, ports: Ports) -> None:
+def perform(effects: Effects, do: Do) -> None:
     """Carry them out."""
     for effect in effects:
-        match effect:
-            case Save():
-                ports.save(effect)
-            case Publish(message):
-                ports.publish(message)
-            case Tell(event):
-                ports.trace(event)
-            case Extract(block):
-                ports.extract(block)
-            case Notice():
-                ports.log_notice(effect)
-            case Show(status):
-                ports.health(status)
+        do(effect)
 
 
 CrashPoint = Literal["saving", "publishing", "tracing", "extracting", "acting"]
-"""The port call at which a simulated process crashes; ``acting`` is a device's, to apply or
+"""What a simulated process was about to do when it crashed; ``acting`` is a device's, to apply or
 read."""
+
+POINTS: Final[dict[type[Effect], CrashPoint]] = {
+    Save: "saving",
+    Publish: "publishing",
+    Tell: "tracing",
+    Extract: "extracting",
+}
+"""Effects at which a process may crash. While it logs, or replaces its status, it never does."""
 
 
 class Crashed(BaseException):
     """A simulated process has crashed, and all but its journal is lost."""
 
 
-class CrashingPorts:
-    """Ports of a simulated process that crashes at the port call which :meth:`crash_at` names.
+class Crashing:
+    """A simulated process, which crashes where :meth:`crash_at` says.
 
     Parameters
     ----------
-    ports : Ports
-        What really happens, up to that point.
+    do : callable
+        Carries an effect out, up to that point.
     """
 
-    def __init__(self, ports: Ports) -> None:
-        self._ports = ports
+    def __init__(self, do: Do) -> None:
+        self._do = do
         self._before: CrashPoint | None = None
         self._left = -1
 
     def crash_at(self, before: CrashPoint | None = None, after: int = -1) -> None:
-        """Crash ``before`` the next call of that kind, or ``after`` so many calls of any kind.
+        """Crash ``before`` the next effect of that kind, or ``after`` so many of any kind.
 
         With both defaults the process does not crash.
         """
@@ -95,35 +73,14 @@ class CrashingPorts:
         self._left = after
 
     def passes(self, point: CrashPoint) -> None:
-        """Crash if this is the call, else count it."""
+        """Crash if this is the point, else count it."""
         if point == self._before or self._left == 0:
             raise Crashed
         self._left -= 1
 
-    def save(self, save: Save) -> None:
-        """Crash, or save."""
-        self.passes("saving")
-        self._ports.save(save)
-
-    def publish(self, message: Message) -> None:
-        """Crash, or publish."""
-        self.passes("publishing")
-        self._ports.publish(message)
-
-    def trace(self, event: Event) -> None:
-        """Crash, or trace."""
-        self.passes("tracing")
-        self._ports.trace(event)
-
-    def extract(self, block: ClosedBlock) -> None:
-        """Crash, or have it extracted."""
-        self.passes("extracting")
-        self._ports.extract(block)
-
-    def log_notice(self, notice: Notice) -> None:
-        """Log it; no crash happens here."""
-        self._ports.log_notice(notice)
-
-    def health(self, status: Status) -> None:
-        """Replace the status; no crash happens here."""
-        self._ports.health(status)
+    def do(self, effect: Effect) -> None:
+        """Crash, or carry it out."""
+        point = POINTS.get(type(effect))
+        if point is not None:
+            self.passes(point)
+        self._do(effect)

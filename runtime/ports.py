@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from protocol.link.effects import Notice, Save
-from protocol.link.events import Event, lines
+from protocol.link.effects import Effect, Extract, Notice, Publish, Save, Show, Tell
+from protocol.link.events import lines
 from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
@@ -61,9 +61,28 @@ class LoopPorts:
         self._limited: dict[str, RateLimitedLog] = {}
         self._burst = Burst()
 
-    def publish(self, message: Message) -> None:
-        """Put it on the bus that its type belongs to."""
-        self.publishers[type(message)].put(message.wire())
+    def do(self, effect: Effect) -> None:
+        """Carry it out.
+
+        The trace is on the disk before a save that is, and before one that counts a message whole.
+        """
+        match effect:
+            case Save():
+                if effect.durable or effect.received is not None:
+                    self.files.trace.sync()
+                self.files.journal.save(effect)
+            case Publish(message):
+                self.publishers[type(message)].put(message.wire())
+            case Tell(event):
+                self.files.trace.write(*lines(event))
+            case Extract(block):
+                assert self._extract is not None, "keys are made, and nothing extracts them"
+                self._extract(block)
+            case Notice():
+                self.log_notice(effect)
+            case Show(status):
+                self._tell_health(status)
+                self._report_held_back()
 
     def log_notice(self, notice: Notice) -> None:
         """Log it; with a subject, or after a burst of others, once a second at most."""
@@ -74,29 +93,6 @@ class LoopPorts:
         if subject not in self._limited:
             self._limited[subject] = RateLimitedLog(self.log)
         self._limited[subject].add(notice.text)
-
-    def save(self, save: Save) -> None:
-        """Write to the journal.
-
-        The trace is on the disk before a save that is, and before one that counts a message whole.
-        """
-        if save.durable or save.received is not None:
-            self.files.trace.sync()
-        self.files.journal.save(save)
-
-    def trace(self, event: Event) -> None:
-        """Append to the trace."""
-        self.files.trace.write(*lines(event))
-
-    def extract(self, block: ClosedBlock) -> None:
-        """Have a key block extracted."""
-        assert self._extract is not None, "keys are made, and nothing extracts them"
-        self._extract(block)
-
-    def health(self, status: Status) -> None:
-        """Have the status and the health line replaced; tell what the log still owes."""
-        self._tell_health(status)
-        self._report_held_back()
 
     def close(self) -> None:
         """Tell the rest of the log, and close the files."""

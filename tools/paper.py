@@ -21,7 +21,7 @@ from wyner.runs.score.report import percent
 FOLDER: Final = Path(__file__).resolve().parent.parent / "paper"
 
 EAVESDROPPERS: Final = {
-    "set-membership": "as the paper models her",
+    "set-membership": "as the paper models Eve",
     "nearest-centre": "takes the nearest prediction",
     "list-decoder": "follows all thresholds",
     "oracle": "a control: knows D_c",

@@ -7,24 +7,24 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
+from runtime.scenario_file import scenario_of
+from runtime.shipped import SCENARIOS
 from tests.support.bare_figures import bare_figures
 from wyner.advice.answer import PlainLaw, ratio_of_means
+from wyner.advice.design import design_report
 from wyner.api import design
-from wyner.cli.main import main
 from wyner.simulate.engine import simulate_runs
 
 
-def told(capsys: pytest.CaptureFixture[str], name: str) -> tuple[dict[str, Any], list[str]]:
-    assert main(["design", name, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["answer"]
+def told(name: str) -> tuple[dict[str, Any], list[str]]:
+    report = design_report(scenario_of(name), SCENARIOS)
+    found = json.loads(json.dumps(report.to_json()))["answer"]
     assert list(bare_figures(found)) == []
-    assert main(["design", name]) == 0
-    worth = capsys.readouterr().out.partition("\n\n")[0]
-    return found, worth.replace("\n  ", " ").splitlines()
+    return found, str(report).partition("\n\n")[0].splitlines()
 
 
-def test_a_law_that_talks_keeps_nothing_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    found, lines = told(capsys, "sustained")
+def test_a_law_that_talks_keeps_nothing_secret() -> None:
+    found, lines = told("sustained")
     eve = found["eve"]
     assert eve["named"] == eve["agreed"] > 1000
     assert 0 < found["secret_bits_per_second_at_most"] < 0.01
@@ -34,10 +34,8 @@ def test_a_law_that_talks_keeps_nothing_secret(capsys: pytest.CaptureFixture[str
     assert "does not keep its candidates apart" in found["spoofed_sensor"]["why_unseen"]
 
 
-def test_a_packed_law_costs_several_times_the_plain_loop(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    found, lines = told(capsys, "packed")
+def test_a_packed_law_costs_several_times_the_plain_loop() -> None:
+    found, lines = told("packed")
     beside = found["beside_plain_loop"]
     assert beside["cost"]["low"] > 2
     assert beside["input_rms"]["low"] > 4
@@ -46,9 +44,9 @@ def test_a_packed_law_costs_several_times_the_plain_loop(
     assert "seen after 1.33 steps" in lines[2]
 
 
-def test_a_law_that_falls_silent_has_nothing_secret(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_law_that_falls_silent_has_nothing_secret() -> None:
     """Its few first keys were no rate, and the line named none."""
-    found, lines = told(capsys, "paper")
+    found, lines = told("paper")
     assert found["secret_bits_per_second_at_most"] == 0.0 or found["eve"]["agreed"] > 0
     assert lines[0].startswith("secrecy: 0 ")
 

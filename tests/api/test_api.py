@@ -1,8 +1,6 @@
 """The library: its arrays are the engine's, its names are lazy, its errors are lines."""
 
 import re
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 
 import wyner
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
-from tests.support.patience import PATIENCE_S
+from tests.support.programs import python
 from wyner import (
     Belief,
     Eavesdropper,
@@ -53,7 +51,7 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
         "assert 'numpy' in sys.modules; assert 'matplotlib' not in sys.modules; "
         "assert 'pandas' not in sys.modules; assert 'zenoh' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
+    assert python("-c", code).stderr == ""
 
 
 def test_the_library_needs_nothing_that_linux_alone_has() -> None:
@@ -66,11 +64,9 @@ def test_the_library_needs_nothing_that_linux_alone_has() -> None:
         "from wyner.cli.main import main\n"
         "sys.exit(main(['up']))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False
-    )
-    assert (done.returncode, done.stdout) == (1, b"")
-    (line,) = done.stderr.decode().splitlines()
+    done = python("-c", code)
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
     assert line.startswith("wyner: this system has no fcntl: the commands need Linux")
 
 

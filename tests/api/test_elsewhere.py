@@ -1,13 +1,9 @@
 """The library works where the services do not: Windows, macOS, a browser's Python."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
-from tests.support.patience import PATIENCE_S
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.programs import ROOT, python
 
 PROGRAM = """
 import os, signal, sys
@@ -53,14 +49,7 @@ draw_rate(short, axes, [1.0, 8.0])
 
 def test_the_library_and_its_figures_need_neither_zenoh_nor_posix(tmp_path: Path) -> None:
     """A third of the modules could not be imported without `fcntl` and `resource`."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
+    done = python("-c", PROGRAM, cwd=tmp_path, env=env)
     assert done.stderr == ""
     assert done.stdout == "[[b'Hi'], [b'Hi']] 2\n"

@@ -4,12 +4,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.programs import started
 from tests.system.test_integration import children_of, counted, status
 from wyner.cli.main import main
 
@@ -19,19 +19,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.integration]
 @pytest.mark.long
 def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    command = [sys.executable, "-m", "wyner", "up", "--scenario", "packed", "--pace", "x10"]
-    command += [
-        "--attack",
-        "covert@100000",
-        "--message",
-        "Hi",
-    ]
-    up = subprocess.Popen(
-        [*command, "--run-dir", str(run)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
+    command = ["-m", "wyner", "up", "--scenario", "packed", "--pace", "x10"]
+    command += ["--attack", "covert@100000", "--message", "Hi", "--run-dir", str(run)]
+    with started(*command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as up:
         wait_for(lambda: counted(run, "plant") > 20)
         missed = status(run, "plant")["step"]["missed"]
         os.kill(children_of(up.pid)["attacker"], signal.SIGKILL)
@@ -39,9 +29,6 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
         wait_for(lambda: status(run, "plant")["frame"]["messages"] == 1)
         up.send_signal(signal.SIGINT)
         assert up.wait(PATIENCE_S) == 130
-    finally:
-        up.kill()
-        up.wait()
     summary = json.loads((run / "summary.json").read_text())
     assert summary["delivered"]
     assert summary["missed"] > 0

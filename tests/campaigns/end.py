@@ -18,18 +18,27 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import BlockEnded
-from protocol.link.effects import Effects, Notice, Save
+from protocol.link.effects import (
+    Effect,
+    Effects,
+    Extract,
+    Notice,
+    Publish,
+    Save,
+    Show,
+    Tell,
+)
 from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.link.step import Read
-from protocol.messages import Measurement, Message, Offer, Status
+from protocol.messages import Measurement, Message, Offer
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Position
 from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.perform import Crashed, CrashingPorts, CrashPoint
+from runtime.perform import Crashed, Crashing, CrashPoint
 from tests.campaigns.loop import propose
 from tests.support.journals import controller_journal, handed_over, plant_journal
 from tests.support.line import (
@@ -152,13 +161,13 @@ class End:
         self._set_clock()
 
     def mortal(self) -> None:
-        """It dies within what is asked of its ports, and of its device."""
-        self._ports = CrashingPorts(self)
+        """It dies within what it asks of its shell, and of its device."""
+        self._shell = Crashing(self._carry_out)
         if self.device is not None:
             self.device.passes = self._acts
 
     def _acts(self, point: CrashPoint) -> None:
-        self._ports.passes(point)
+        self._shell.passes(point)
         self.things += 1
 
     def _begin_event(self) -> None:
@@ -192,7 +201,7 @@ class End:
         self._starting = False
 
     def _perform(self, effects: Effects) -> None:
-        shell.perform(effects, self._ports)
+        shell.perform(effects, self._shell.do)
 
     def new_session(self) -> str:
         """An id that no other session has."""
@@ -224,9 +233,24 @@ class End:
 
     # --- what it asks for -------------------------------------------------------------------------
 
-    def save(self, save: Save) -> None:
-        """Keep it; a message arrives once, and in its place."""
+    def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case Save():
+                self._save(effect)
+            case Publish(message):
+                self._publish(message)
+            case Tell(event):
+                self._trace(event)
+            case Extract(block):
+                self._extract(block)
+            case Notice():
+                return  # nobody reads the log
+            case Show(status):
+                raise AssertionError(f"nobody asked for a status: {status}")
         self.things += 1
+
+    def _save(self, save: Save) -> None:
+        """Keep it; a message arrives once, and in its place."""
         self._reports.look(save)
         step, received = save.step, save.received
         if isinstance(step, Read) and step.report.keyed:
@@ -251,9 +275,8 @@ class End:
         else:
             self._taken = (*self._taken[1:], Taken(session, k, position))
 
-    def publish(self, message: Message) -> None:
+    def _publish(self, message: Message) -> None:
         """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
-        self.things += 1
         if isinstance(message, Measurement | Offer):
             message = self._said_before(message)
         self.out.append(mail(message))
@@ -298,9 +321,8 @@ class End:
         if this not in self._ciphers:
             self._ciphers = (*self._ciphers, this)[-2:]
 
-    def trace(self, event: Event) -> None:
+    def _trace(self, event: Event) -> None:
         """Note what it has counted; a transition is counted in one version only, and in order."""
-        self.things += 1
         if self.device is not None:
             self.device.look(event, alive=not self._starting)
         if isinstance(event, Alarm) and event.reason != "unwatched":  # the stream was dry
@@ -329,20 +351,12 @@ class End:
         window = 2 if self.side == "plant" else 1
         self.view = self.view._replace(counted=(*counted, mine)[-window:])
 
-    def extract(self, block: ClosedBlock) -> None:
+    def _extract(self, block: ClosedBlock) -> None:
         """A block waits to be extracted; a nonce counts once, and a copy 1's never."""
-        self.things += 1
         nonces = {*block.nonces, base64.b64decode(DUMMY)}
         if len(nonces) != block.counted + 1:
             raise Broken(f"block {block.number} counts a nonce twice, or a copy 1's")
         self.tasks.append(block)
-
-    def log_notice(self, notice: Notice) -> None:
-        """Nobody reads the log."""
-
-    def health(self, status: Status) -> None:
-        """Nobody asked for statuses."""
-        raise AssertionError(status)
 
     # --- what may happen --------------------------------------------------------------------------
 
@@ -355,14 +369,14 @@ class End:
             When a safety property does not hold any more.
         """
         self._begin_event()
-        self._ports.crash_at(after=doing.death)
+        self._shell.crash_at(after=doing.death)
         try:
             self._happens(doing, kind, payload)
         except Crashed:
-            self._ports.crash_at()
+            self._shell.crash_at()
             self._start()
         finally:
-            self._ports.crash_at()
+            self._shell.crash_at()
         self._look()
         self._set_clock()
 

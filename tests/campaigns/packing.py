@@ -23,7 +23,7 @@ from tests.support.line import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
     (
-        *("journal", "device", "_ports", "line"),  # shared, kept apart, or a second name
+        *("journal", "device", "_shell", "line"),  # shared, kept apart, or a second name
         *(
             "out",
             "news",

@@ -174,7 +174,7 @@ class Watched(Simulation):
 
     def _new_plant(self, incarnations: int) -> PlantCore:
         if self._device is not None:
-            self._device.passes = self.ends["plant"].ports.passes
+            self._device.passes = self.ends["plant"].shell.passes
         return super()._new_plant(incarnations)
 
     def send(self, to: Side, message: Message) -> None:

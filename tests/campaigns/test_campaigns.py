@@ -1,8 +1,6 @@
 """Short forms of the campaigns: enough to know that they work, and to see what breaks at once."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, live, schedules
+from tests.support.programs import python
 
 
 def test_seeded_schedules_break_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,12 +44,8 @@ def test_a_run_whose_services_are_killed_delivers_once_and_passes(
     """Seed 5 draws pace x20, and strikes both ends and the router early."""
     options = ["--seed", str(seed), "--kills", str(kills), "--failed", str(tmp_path)]
     kinds = [f"--{kind}"] if kind != "kills" else []
-    done = subprocess.run(  # apart: Zenoh, once opened in a process, does not survive a fork
-        [sys.executable, "-m", "tests.campaigns.kills", *options, *kinds],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    # apart: Zenoh, once opened in a process, does not survive a fork
+    done = python("-m", "tests.campaigns.kills", *options, *kinds, timeout=None)
     assert done.returncode == 0, done.stdout + done.stderr
     assert '"transitions": ' in done.stdout
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import termios
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,10 +18,9 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
-from tests.support.patience import PATIENCE_S
+from tests.support.programs import ROOT, python, wyner
 from wyner.cli.main import commands, main, overview
 
-ROOT = Path(__file__).resolve().parents[2]
 PRESENT = list(commands())
 
 
@@ -36,16 +34,6 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
     assert all(line.startswith("wyner: ") for line in lines), err
     assert "Traceback" not in err
     return lines
-
-
-def python(*args: str | Path, **more: Any) -> subprocess.CompletedProcess[bytes]:
-    """Python in a process of its own, in the checkout, with both streams kept."""
-    kept: dict[str, Any] = {
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.PIPE,
-        "timeout": PATIENCE_S,
-    }
-    return subprocess.run([sys.executable, *args], cwd=ROOT, check=False, **kept | more)
 
 
 @pytest.mark.parametrize("name", sorted(PRESENT))
@@ -83,13 +71,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--version"])
     assert stop.value.code == 0
     assert re.fullmatch(r"wyner \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
-
-
-@pytest.mark.parametrize("service", ["controller", "plant", "tap"])
-def test_a_service_is_a_module_of_its_own(service: str) -> None:
-    done = python("-m", f"{service}_service", "--help")
-    assert done.returncode == 0, done.stderr
-    assert f"wyner {service}" in done.stdout.decode()
 
 
 # --- wrong use ------------------------------------------------------------------------------------
@@ -220,7 +201,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
         "sys.exit(main())\n"
     )
     done = python("-c", code)
-    assert (done.returncode, done.stderr) == (130, b"")
+    assert (done.returncode, done.stderr) == (130, "")
 
 
 @pytest.mark.slow
@@ -263,7 +244,7 @@ def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
         "from wyner.__main__ import main\n"
         "sys.exit(main())\n"
     )
-    done = python("-c", code, env={**os.environ, "PYTHONIOENCODING": "latin-1"})
+    done = python("-c", code, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, text=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout == b"Gr\xfc\xdfe \\u2713\n"
 
@@ -277,12 +258,12 @@ def test_what_is_json_stays_json_on_every_standard_output(encoding: str, tmp_pat
     run = tmp_path / os.fsdecode(b"run \xff")
     quick = ("--pace", "fast", "--steps", "20", "--message", text, "--run-dir", str(run))
     for command in (("up", *quick), ("check", run)):
-        done = python("-m", "wyner", *command, "--json", env=env)
+        done = wyner(*command, "--json", env=env, text=False)
         assert json.loads(done.stdout)["run_dir"] == str(run), done.stderr
         assert done.returncode == 0
         assert b"Traceback" not in done.stderr
     if encoding == "ascii":
-        done = python("-m", "wyner", "report", run, env=env)
+        done = wyner("report", run, env=env, text=False)
         assert done.returncode == 0, done.stderr
 
 
@@ -295,24 +276,24 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
     assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
 
 
-KNOWLEDGE = ("-m", "wyner", "design", "paper", "--knowledge")
+KNOWLEDGE = ("design", "paper", "--knowledge")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_is_one_line(unbuffered: str) -> None:
     with Path("/dev/full").open("w") as full:
-        done = python(*KNOWLEDGE, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
-    assert (done.returncode, done.stderr) == (1, b"wyner: No space left on device\n")
+        done = wyner(*KNOWLEDGE, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+    assert (done.returncode, done.stderr) == (1, "wyner: No space left on device\n")
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    done = python(*KNOWLEDGE, stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+    done = wyner(*KNOWLEDGE, stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 # --- small things that are right ------------------------------------------------------------------

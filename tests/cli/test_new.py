@@ -12,7 +12,7 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
 from wyner.cli.new import sampled
-from wyner.fit.first_scenario import FirstScenario
+from wyner.fit.first_scenario import first_scenario
 
 
 def new(path: Path, *arguments: str) -> int:
@@ -26,7 +26,7 @@ def first(
 ) -> bool:
     """A new scenario of a continuous plant, its D of this half-width in each state."""
     matrices = sampled(A, B, period_s)
-    text, starts = FirstScenario(path.stem, *matrices, period_s, [1.0], [width] * len(A)).text()
+    text, starts = first_scenario(path.stem, *matrices, period_s, [1.0], [width] * len(A))
     path.write_text(text)
     return starts
 
@@ -248,7 +248,7 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     rows = tmp_path / "s.csv"
     assert main(["sweep", str(sweep), "--output", str(rows), "--jobs", "1"]) == 0
     out = capsys.readouterr().out
-    assert "mine keys, messages" in out
+    assert "  mine  " in out
     with rows.open() as file:
         added = list(csv.DictReader(file))
     assert all(int(r["tap.mine.right"]) == int(r["tap.mine.agreed"]) > 50 for r in added)

@@ -15,7 +15,7 @@ from wyner.cli.main import main
 from wyner.cli.options import joined
 from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
-from wyner.deployment.sending import Queued
+from wyner.deployment.sending import queued
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
 NOBODY = "tcp/127.0.0.1:9"
@@ -86,9 +86,9 @@ def test_the_run_of_another_folder_is_refused_unless_it_is_named(
 
 def test_the_answer_names_the_run_and_the_loop() -> None:
     reply = SendReply(id="m", accepted=True, queued=2)
-    assert str(Queued(reply, 22, "loop", "runs/a")) == (
+    assert str(queued(reply, 22, "loop", "runs/a")) == (
         "queued as m at run runs/a, loop loop: 22 bytes, 2 not delivered yet"
     )
-    assert str(Queued(reply, 22, "boiler-1", None)) == (
+    assert str(queued(reply, 22, "boiler-1", None)) == (
         "queued as m at loop boiler-1: 22 bytes, 2 not delivered yet"
     )

@@ -20,9 +20,15 @@ from controller_service.sets.alphabet import (
 )
 from controller_service.sets.grid_alphabet import plane_offsets, plane_size, polygon_rows
 from controller_service.sets.separation import AlphabetError, Separation
+from protocol.arrays import Array
 from protocol.convex import corners
 from protocol.scenario import ConvexSet
-from tests.support.apart import distances
+
+
+def distances(sep: Separation, points: Array) -> tuple[Array, Array]:
+    """Both norms of the difference of every two points, shape (points, m)."""
+    v = (points[:, None] - points[None])[~np.eye(len(points), dtype=bool)]
+    return np.abs(v @ sep.apart.T).max(axis=-1), np.abs(v @ sep.together.T).max(axis=-1)
 
 
 def plane_bound(sep: Separation, alpha: float) -> int:

@@ -24,7 +24,7 @@ from tests.support.rehearsal import MESSAGE_TEXT
 from tests.support.screens import to_text
 from tests.support.scripted import ScriptedSource
 from tests.support.statuses import changed
-from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen
+from wyner.dashboard.app import GO_ON, Ending, LiveScreen, has_screen
 from wyner.dashboard.headless import Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.model import Arrival, State, reduce_all
 from wyner.dashboard.story import next_moment
@@ -38,19 +38,19 @@ def source(steps: int = 300) -> ScriptedSource:
     return ScriptedSource(batches(steps))
 
 
-def text_of(watch: Watch, now_ns: int = 0) -> str:
+def text_of(watch: LiveScreen, now_ns: int = 0) -> str:
     return to_text(watch.draw(SIZE, now_ns), SIZE)
 
 
 @pytest.fixture
-def watch(tmp_path: Path) -> Watch:
-    return Watch()
+def watch(tmp_path: Path) -> LiveScreen:
+    return LiveScreen()
 
 
 # --- keys --------------------------------------------------------------------------------------
 
 
-def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
+def test_freezing_holds_the_view_and_goes_on_counting(watch: LiveScreen) -> None:
     script = source()
     for _ in range(5):
         watch.take(script)
@@ -73,7 +73,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert "FROZEN, new session" in text_of(watch), "no steps are counted backwards"
 
 
-def test_a_key_does_what_the_help_says_and_others_nothing(watch: Watch) -> None:
+def test_a_key_does_what_the_help_says_and_others_nothing(watch: LiveScreen) -> None:
     watch.press("?", 0)
     assert KEYS[0][2] in text_of(watch)
     watch.press(ESCAPE, 0)
@@ -104,7 +104,7 @@ def test_keys_are_split_and_sequences_swallowed(typed: str, keys: list[str]) -> 
 
 
 def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
-    watch = Watch()
+    watch = LiveScreen()
     assert text_of(watch).startswith(" wyner  waiting for the plant")
     watch.view = replace(watch.view, title="2/3 sealed")
     assert text_of(watch).startswith(" 2/3 sealed  waiting for the plant")
@@ -121,7 +121,7 @@ def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
 
 
 def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path) -> None:
-    watch = Watch(story=True)
+    watch = LiveScreen(story=True)
     script = source(1500)
     while not script.exhausted:
         watch.take(script)

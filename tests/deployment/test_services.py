@@ -105,7 +105,7 @@ def test_the_router_lets_it_publish_its_own_and_nothing_else(counting: Service) 
 def test_it_is_supervised_and_its_health_is_told(
     counting: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    child = Child("counting", ["--run-dir", str(tmp_path)], tmp_path / "counting" / "log")
+    child = Child(counting, ["--run-dir", str(tmp_path)], tmp_path / "counting" / "log")
     child.start()
     try:
         until = time.monotonic() + PATIENCE_S
@@ -120,6 +120,6 @@ def test_it_is_supervised_and_its_health_is_told(
         assert main(["status", str(tmp_path)]) == 0
         assert capsys.readouterr().out.startswith("counting    ")
     finally:
-        Supervisor([child], "counting", "").stop()
+        Supervisor([child], "").stop()
     assert child.process is not None
     assert child.process.returncode == 0

@@ -26,7 +26,7 @@ time.sleep(60)
 def killed(tmp_path: Path) -> Iterator[tuple[Child, Path]]:
     """A service that was killed, and left a process that goes on writing."""
     written = tmp_path / "guesses"
-    child = Child("tap", [], tmp_path / "log")
+    child = Child(SERVICES["tap"], [], tmp_path / "log")
     child.process = subprocess.Popen(
         [sys.executable, "-c", LEAVES, str(written)], stdin=subprocess.PIPE, process_group=0
     )

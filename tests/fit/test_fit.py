@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 
 from controller_service.laws import registry
-from controller_service.laws.registry import make_law, synthesise
-from plant_service.adapters import Operated
-from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.support.bare_figures import bare_figures
 from wyner.cli.main import main
 from wyner.fit.conformal import violation_bound
-from wyner.fit.fitting import Fit, Plan, fit
+from wyner.fit.fitting import fit
 from wyner.fit.identification import FitError
+from wyner.fit.plan import Plan
 from wyner.fit.toml import as_toml
 
 CART: dict[str, Any] = {
@@ -41,9 +39,9 @@ DYNAMICS = """
 def dynamics(t, x, u):
     return x[1], 2.0 * u[0] - 0.8 * x[1] * abs(x[1]) - 0.2 * x[1]
 """
-PLAN = Plan(
-    excite_sessions=4, excite_steps=100, pilot=5, calibration=40, fresh=40, steps=60, seed=2
-)
+PLAN = Plan(sessions=40, steps=60, seed=2)
+
+Fitted = tuple[dict[str, Any], Scenario]
 
 
 @pytest.fixture(scope="module")
@@ -54,40 +52,32 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def opened(folder: Path) -> Any:
-    def open_(scenario: Scenario) -> Operated:
-        return open_plant(scenario, folder)
-
-    return open_
-
-
-def law(scenario: Scenario) -> Any:
-    return make_law(scenario, synthesise(scenario))
-
-
 @pytest.fixture(scope="module")
-def cart(folder: Path) -> Fit:
-    return fit(CART, "cart.toml", opened(folder), law, PLAN)
+def cart(folder: Path) -> Fitted:
+    return fit(CART, folder / "cart.toml", PLAN, 0.05)
 
 
-def test_the_model_is_the_plants_about_its_range(cart: Fit) -> None:
-    assert cart.model is not None
-    assert pytest.approx(np.array([[1.0, 0.1], [0.0, 0.96]]), abs=0.06) == cart.model.A
-    assert pytest.approx(np.array([[0.01], [0.2]]), abs=0.02) == cart.model.B
+def test_the_model_is_the_plants_about_its_range(cart: Fitted) -> None:
+    _, scenario = cart
+    assert np.array(scenario.A) == pytest.approx(np.array([[1.0, 0.1], [0.0, 0.96]]), abs=0.06)
+    assert np.array(scenario.B) == pytest.approx(np.array([[0.01], [0.2]]), abs=0.02)
 
 
-def test_the_certificate_is_what_was_counted(cart: Fit) -> None:
-    c = cart.scenario.defender.calibration
+def test_the_certificate_is_of_the_law_that_it_names(cart: Fitted) -> None:
+    tables, scenario = cart
+    c = scenario.defender.calibration
     assert c is not None
-    assert (c.sessions, c.steps, c.exceeded) == (40, 60, cart.exceeded)
-    assert c.violation == violation_bound(40, cart.exceeded, 0.999)
-    assert c.law_fingerprint == cart.scenario.law_fingerprint()
+    assert (c.sessions, c.steps) == (40, 60)
+    assert c.violation == violation_bound(40, c.exceeded)
+    assert c.law_fingerprint == scenario.law_fingerprint()
+    assert tables["defender"]["calibration"] == c.model_dump()
 
 
-def test_the_file_is_the_scenario(cart: Fit) -> None:
-    text = as_toml(cart.tables, "Two\nlines.")
+def test_the_file_is_the_scenario(cart: Fitted) -> None:
+    tables, scenario = cart
+    text = as_toml(tables, "Two\nlines.")
     assert text.startswith("# Two\n# lines.\n")
-    assert parse_scenario(tomllib.loads(text), "again.toml") == cart.scenario
+    assert parse_scenario(tomllib.loads(text), "again.toml") == scenario
 
 
 def test_the_command_writes_it_and_computes_no_set_a_second_time(
@@ -144,10 +134,10 @@ def test_what_cannot_be_fitted_says_why(folder: Path) -> None:
         return tables
 
     with pytest.raises(ScenarioError, match=r"plant.operating_point.state and control.inputs: exp"):
-        fit(without("plant", "initial_state"), "cart.toml", opened(folder), law, PLAN)
-    still = Plan(excite_sessions=1, excite_steps=2)
+        fit(without("plant", "initial_state"), folder / "cart.toml", PLAN, 0.05)
+    still = Plan(sessions=5, excite_steps=2)
     with pytest.raises(FitError, match="got 2 transitions, expected more than 3"):
-        fit(CART, "cart.toml", opened(folder), law, still)
+        fit(CART, folder / "cart.toml", still, 0.05)
 
 
 # --- what is no plant to fit ----------------------------------------------------------------------
@@ -207,7 +197,7 @@ def test_a_plant_without_an_input_or_a_disturbance_is_named(
         "control": {"law": "packed", "horizon": 5, "inputs": {"half_widths": [2.0] * inputs}},
     }
     with pytest.raises(FitError) as raised:
-        fit(tables, "own.toml", opened(tmp_path), law, PLAN)
+        fit(tables, tmp_path / "own.toml", PLAN, 0.05)
     assert str(raised.value).startswith(says)
     assert "\n" not in str(raised.value)
 
@@ -227,6 +217,6 @@ def test_the_steps_that_a_network_misses_count_with_the_fallbacks_input() -> Non
         "link": {"fallback": "zero"},
         "network": {"to_plant": {"loss": 0.5}},
     }
-    found = fit(tables, "net.toml", opened(Path()), law, PLAN)
-    widths = found.scenario.defender.disturbance.half_widths
+    _, scenario = fit(tables, Path("net.toml"), PLAN, 0.05)
+    widths = scenario.defender.disturbance.half_widths
     assert widths == pytest.approx((0.002, 0.01), rel=0.1)

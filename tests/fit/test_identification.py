@@ -21,7 +21,8 @@ def test_without_noise_the_model_is_exact() -> None:
     model = identify(*data(60, 0.0))
     assert np.abs(model.A - A).max() < 1e-12
     assert np.abs(model.B - B).max() < 1e-12
-    assert np.abs(model.residuals).max() < 1e-12
+    assert model.errors.max() < 1e-12
+    assert model.dead == []
 
 
 def test_with_noise_the_standard_errors_are_honest() -> None:

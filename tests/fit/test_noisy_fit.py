@@ -1,17 +1,19 @@
 """A fit from noisy readings: N stated, W certified, and what the scheme makes of it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.fit.test_fit import CART, DYNAMICS, law, opened
+from protocol.scenario import Scenario
+from tests.fit.test_fit import CART, DYNAMICS
 from wyner.cli.main import main
-from wyner.fit.conformal import session_score
-from wyner.fit.fitting import Fit, Plan, fit
+from wyner.fit.fitting import fit
 from wyner.fit.identification import identify
+from wyner.fit.plan import Plan
 from wyner.fit.sessions import residuals_under
 from wyner.fit.toml import as_toml
 
@@ -24,9 +26,7 @@ NOISY: dict[str, Any] = {
     "defender": {"noise": {"half_widths": list(NOISE)}},
     "secrecy": {"alpha": 12.0, "candidates": 2},
 }
-PLAN = Plan(
-    excite_sessions=8, excite_steps=200, pilot=5, calibration=40, fresh=40, steps=60, seed=2
-)
+PLAN = Plan(sessions=40, excite_steps=200, steps=60, seed=2)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def cart(folder: Path) -> Fit:
-    return fit(NOISY, "cart.toml", opened(folder), law, PLAN)
+def cart(folder: Path) -> Scenario:
+    return fit(NOISY, folder / "cart.toml", PLAN, 0.05)[1]
 
 
 def test_noise_is_told_from_disturbance() -> None:
@@ -65,19 +65,17 @@ def test_noise_is_told_from_disturbance() -> None:
 
 
 def test_the_certificate_is_of_w_and_holds_on_sessions_that_nobody_fitted(
-    cart: Fit, folder: Path
+    cart: Scenario, folder: Path
 ) -> None:
-    s = cart.scenario
+    s = cart
     assert s.defender.calibration is not None
     W = s.test_set.half_widths
     D_c = s.defender.disturbance.half_widths
     assert W is not None
     assert D_c is not None
     assert (np.array(W) > np.array(D_c)).all()
-    residuals = residuals_under(
-        s, law(s), opened(folder), runs=range(5000, 5040), steps=PLAN.steps, seed=77
-    )
-    left = sum(session_score(r, W) > 1 + 1e-9 for r in residuals)
+    residuals = residuals_under(s, folder, replace(PLAN, seed=77), range(5000, 5040))
+    left = (np.abs(residuals) > np.array(W) * (1 + 1e-9)).any(axis=(1, 2)).sum()
     assert left / 40 <= s.defender.calibration.violation + 0.1
 
 

@@ -13,7 +13,7 @@ from runtime.scenario_file import load_scenario
 from tests.support.bare_figures import bare_figures
 from wyner.api import design, run
 from wyner.cli.main import main
-from wyner.fit.recording import Recording, fit_recording, read_recording
+from wyner.fit.recording import read_recording
 
 A = np.array([[1.0, 0.1], [0.0, 0.95]])
 B = np.array([[0.005], [0.1]])
@@ -82,9 +82,8 @@ def test_an_interrupted_recording_loses_the_steps_beside_the_gap(tmp_path: Path)
     path = written(tmp_path / "gap.csv", x, u)
     path.write_text(path.read_text().replace("nan", ""))
     recording = read_recording(path, ["position", "speed"], ["force"])
-    before, _, after = recording.transitions()
-    assert len(before) == 47
-    assert np.isfinite(after).all()
+    assert len(recording.x) == len(recording.u) == len(recording.after) == 47
+    assert np.isfinite(recording.after).all()
 
 
 def test_an_operating_point_that_was_not_subtracted_is_told(
@@ -96,7 +95,9 @@ def test_an_operating_point_that_was_not_subtracted_is_told(
     assert any("subtract the operating point" in line for line in found["warnings"])
 
 
-def test_residuals_that_depend_on_their_neighbours_are_told() -> None:
+def test_residuals_that_depend_on_their_neighbours_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The bound counts steps as independent."""
     rng = np.random.default_rng(5)
     x, u = recorded(5, excitation=1.0)
@@ -106,10 +107,9 @@ def test_residuals_that_depend_on_their_neighbours_are_told() -> None:
     for k in range(2000):
         x[k] = state
         state = A @ state + B @ u[k] + steps[k]
-    found = fit_recording(
-        Recording(("position", "speed"), ("force",), x, u), violation=0.05, confidence=0.9
-    )
-    assert any("fewer steps are independent" in line for line in found.warnings())
+    path = written(tmp_path / "cart.csv", x, u)
+    found = fitted(capsys, str(path), *COLUMNS, "-o", str(tmp_path / "cart.toml"))
+    assert any("fewer steps are independent" in line for line in found["warnings"])
 
 
 @pytest.mark.parametrize(
@@ -118,6 +118,7 @@ def test_residuals_that_depend_on_their_neighbours_are_told() -> None:
         ("", [], "cart.csv: expected a line of names"),
         ("position,speed,force\n1,2,x\n", [], "cart.csv: line 2: force: got 'x', expected a numb"),
         ("position,speed,force\n1,2\n", [], "cart.csv: line 2: got 2 columns, expected 3"),
+        ('position,speed,force\n1,2,"3\n4"\n', [], "force: got '3\\n4', expected a number"),
         ("position,speed\n1,2\n", [], "has no column 'force', expected one of: position, speed"),
         ("position,position,speed,force\n1,2,3,4\n", [], "has two columns 'position'"),
         ("position,speed,force\n" + "1,2,3\n" * 4, [], "got 1 steps to identify A and B"),

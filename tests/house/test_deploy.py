@@ -1,15 +1,13 @@
 """What deployment rests on: units, options that are there."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.support.programs import ROOT, wyner
 from wyner.cli.main import build_parser, commands
 
-ROOT = Path(__file__).resolve().parents[2]
 UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
 
 
@@ -20,9 +18,7 @@ def test_a_unit_starts_its_service_with_options_that_are_there(unit: Path) -> No
     (start,) = re.findall(r"^ExecStart=\S+ (\S+) (.*)$", text, re.MULTILINE)
     name, options = start
     assert unit.name == f"wyner-{name}.service"
-    done = subprocess.run(
-        [sys.executable, "-m", "wyner", name, "--help"], capture_output=True, text=True, check=True
-    )
+    done = wyner(name, "--help")
     for option in re.findall(r"--[a-z-]+", options):
         assert option in done.stdout
     assert "RestartPreventExitStatus=2" in text

@@ -2,19 +2,16 @@
 
 import os
 import shutil
-import subprocess
-import sys
 import sysconfig
 import zipfile
 from pathlib import Path
 
 import pytest
 
-from tests.support.patience import PATIENCE_S
+from tests.support.programs import ROOT, python
 
 pytestmark = pytest.mark.long
 
-ROOT = Path(__file__).resolve().parents[2]
 BUILT = shutil.ignore_patterns("build", "*.egg-info", "__pycache__", ".*", "tests")
 NAMES = {
     "protocol",
@@ -33,8 +30,9 @@ def not_source(folder: str, names: list[str]) -> set[str]:
 
 
 def pip(*arguments: str, cwd: Path) -> None:
-    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments]
-    subprocess.run(command, cwd=cwd, check=True, timeout=PATIENCE_S)
+    quiet = ("--quiet", "--disable-pip-version-check")
+    done = python("-m", "pip", *quiet, *arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +57,11 @@ def wyner(away: Path, *arguments: str) -> str:
     """What the installed command says, with the tests' libraries and without the source tree."""
     installed = away / "installed"
     # Without `site` no .pth file is followed, and so none that leads to the source tree.
-    command = [sys.executable, "-S", str(installed / "bin" / "wyner"), *arguments]
     path = os.pathsep.join([str(installed), sysconfig.get_path("purelib")])
     env = os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(away / "cache")}
-    done = subprocess.run(
-        command, capture_output=True, text=True, cwd=away, env=env, timeout=PATIENCE_S, check=False
-    )
+    done = python("-S", installed / "bin" / "wyner", *arguments, cwd=away, env=env)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return str(done.stdout)
 
 
 def test_what_is_installed_and_no_more(wheel: Path) -> None:

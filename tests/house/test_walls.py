@@ -3,8 +3,6 @@
 import ast
 import json
 import re
-import subprocess
-import sys
 from fnmatch import fnmatch
 from functools import cache
 from graphlib import TopologicalSorter
@@ -12,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.patience import PATIENCE_S
+from tests.support.programs import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ("controller_service", "plant_service", "tap_service", "attacker_service")
 ROOMS = (*SERVICES, "protocol", "runtime", "wyner", "benchmarks", "tools")
 
@@ -63,14 +60,7 @@ def loaded_by(*modules: str) -> frozenset[str]:
         "for name in json.loads(sys.argv[1]): importlib.import_module(name)\n"
         "print(json.dumps(sorted(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(modules)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = python("-c", code, json.dumps(modules))
     assert done.returncode == 0, done.stderr
     return frozenset(json.loads(done.stdout))
 

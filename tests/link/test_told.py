@@ -33,7 +33,7 @@ from protocol.messages import (
 from protocol.messages.base import Part
 from protocol.secret.blocks import ExtractionFailed
 from runtime import journal as journals
-from runtime.perform import Ports, perform
+from runtime.perform import Do, perform
 from runtime.shipped import SCENARIOS
 from tests.support.mail import Mail, mail
 from tests.support.pair import SIDES, Name
@@ -105,9 +105,9 @@ class Story(RecordedPair):
         if self.scenario.secrecy.scheme != "sealed":
             super()._one_cipher(offer)
 
-    def performer(self, effects: Effects, ports: Ports) -> None:
-        (side,) = [name for name, end in self.ends.items() if end.ports is ports]
-        perform(self._noted(side, effects), ports)
+    def performer(self, effects: Effects, do: Do) -> None:
+        (side,) = [name for name, end in self.ends.items() if end.shell.do == do]
+        perform(self._noted(side, effects), do)
 
     def _noted(self, side: Name, effects: Iterable[Effect]) -> Iterator[Effect]:
         for effect in effects:

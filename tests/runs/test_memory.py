@@ -1,14 +1,13 @@
 """Who looks at a run holds some bytes a step of it: 400 MB for a million steps, with keys."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from runtime.recording import LineWriter, decode, dumps, raw_lines
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
+from tests.support.programs import python
 from tests.support.recorded_pair import make_run
 from wyner.runs.run import Run
 
@@ -68,9 +67,7 @@ def guessed(folder: Path, steps: int, scenario: str) -> Path:
 def peak(name: str, folder: Path) -> int:
     """Bytes that a process takes at most over a run."""
     code = f"import sys{READERS[name]}{HIGHEST}"
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
-    )
+    done = python("-c", code, folder, timeout=None)
     return 1024 * int(done.stderr.split()[-2])
 
 

@@ -1,17 +1,13 @@
 """Endpoints that a program picks for its services."""
 
 import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from runtime import addresses
 from runtime.addresses import free_endpoints, kernel_ports
 from runtime.bus import TransportError
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.programs import python
 
 
 def test_two_programs_at_once_are_given_different_ports(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,10 +20,7 @@ def test_two_programs_at_once_are_given_different_ports(monkeypatch: pytest.Monk
         "addresses.LOWEST_PORT, addresses.LARGEST_PORT = 20_000, 20_039\n"
         "print(*addresses.free_endpoints(10))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
-    )
-    second = done.stdout.split()
+    second = python("-c", code).stdout.split()
     assert len(set(second)) == 10
     assert not set(first) & set(second)
     with pytest.raises(TransportError):

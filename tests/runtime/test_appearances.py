@@ -9,7 +9,7 @@ from runtime.addresses import appearances, free_endpoints, is_group
 from runtime.bus import TransportError
 from runtime.host import Sparing
 from runtime.zenoh_bus import ZenohBus
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import wait_for
 
 HOME, AWAY, OTHER = "tcp/127.0.0.1:1", "udp/192.0.2.1:1", "udp/192.0.2.2:1"
 
@@ -94,16 +94,11 @@ def test_a_link_is_counted_before_the_first_message_leaves_by_it(protocol: str) 
             for mine in heard:
                 others.append(ZenohBus(connect=[endpoint]))
                 others[-1].subscribe("a/b", lambda _k, body, _t, m=mine: m.append(int(body)))  # type: ignore[misc]
-                until = time.monotonic() + PATIENCE_S
-                while not mine and time.monotonic() < until:
-                    time.sleep(0.01)
+                wait_for(lambda m=mine: m)  # type: ignore[misc]
         finally:
             over.set()
             speaker.join()
         assert [mine[0] for mine in heard] == [1, 1, 2]  # all on this machine: one is the partner's
         for other in others:
             other.close()
-        until = time.monotonic() + PATIENCE_S
-        while here.appearances() > 1 and time.monotonic() < until:
-            time.sleep(0.05)
-        assert here.appearances() == 1
+        wait_for(lambda: here.appearances() == 1)

@@ -85,6 +85,19 @@ def test_options_that_do_not_go_together(
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("wrong", [["--attack", "no@step"], []], ids=["attack", "scenario"])
+def test_a_fleet_with_a_wrong_loop_starts_none(
+    wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(ONE if wrong else ONE + '[[loop]]\nid = "bad"\nscenario = "nowhere"\n')
+    options = ["--fleet", str(path), *wrong, "--run-dir", str(tmp_path / "run")]
+    assert main(["plant", *options]) == 2
+    told = capsys.readouterr().err
+    assert ("one: --attack: " if wrong else "bad: nowhere: no such file") in told
+    assert not (tmp_path / "run").exists()
+
+
 # --- hosts ----------------------------------------------------------------------------------------
 
 
@@ -177,7 +190,7 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
 @pytest.mark.slow
 def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_path: Path) -> None:
     path = tmp_path / "fleet.toml"
-    path.write_text(TWO + ONE + '[[loop]]\nid = "bad"\nscenario = "nowhere"\n')
+    path.write_text(TWO + ONE)
     journal = tmp_path / "run" / "two" / PLANT_JOURNAL
     journal.parent.mkdir(parents=True)
     journal.write_bytes(b"no journal" * 1000)

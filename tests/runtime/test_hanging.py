@@ -1,7 +1,5 @@
 """A call that never comes back is left, and the process ends all the same."""
 
-import subprocess
-import sys
 import time
 from threading import Event, Thread
 
@@ -10,6 +8,7 @@ import pytest
 from runtime import hanging
 from runtime.hanging import leave, within
 from tests.support.patience import PATIENCE_S
+from tests.support.programs import python
 
 
 def test_a_call_is_waited_for_no_longer_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,11 +51,5 @@ sys.exit(command.entered(run))
 
 
 def test_a_process_in_which_a_call_hangs_ends_with_its_code() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ENDS],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = python("-c", ENDS)
     assert (done.returncode, done.stdout, done.stderr) == (7, "flushed\n", "")

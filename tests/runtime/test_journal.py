@@ -30,6 +30,7 @@ from runtime.journal import (
 )
 from tests.support.journals import copied, step_of
 from tests.support.patience import PATIENCE_S
+from tests.support.programs import python
 from tests.support.records import changed, controller_record, plant_record
 
 SCENARIO = "f" * 64
@@ -244,13 +245,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
         "except JournalError as error: print(error)\n"
     )
     with ControllerJournal(path, SCENARIO):
-        second = subprocess.run(
-            [sys.executable, "-c", code, str(path), SCENARIO],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=PATIENCE_S,
-        )
+        second = python("-c", code, path, SCENARIO)
     assert second.stdout.strip() == f"{path}: another process is using it"
     with ControllerJournal(path, SCENARIO):
         pass

@@ -3,13 +3,15 @@
 import os
 import signal
 import subprocess
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
 from runtime.signals import stop_on_signals
 from tests.support.patience import PATIENCE_S
+from tests.support.programs import python, started
 
 
 def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
@@ -32,17 +34,13 @@ with stop_on_signals() as stopping:
 """
 
 
-def stopping_child(wait: float, **environment: str) -> "subprocess.Popen[str]":
-    child = subprocess.Popen(
-        [sys.executable, "-c", STOPS.format(wait=wait)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, **environment},
-    )
-    assert child.stdout is not None
-    assert child.stdout.readline() == "ready\n"
-    return child
+@contextmanager
+def stopping_child(wait: float, **environment: str) -> Iterator["subprocess.Popen[str]"]:
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    code = STOPS.format(wait=wait)
+    with started("-c", code, env={**os.environ, **environment}, **streams) as child:
+        assert child.stdout.readline() == "ready\n"
+        yield child
 
 
 def test_a_service_stops_when_its_standard_input_ends() -> None:
@@ -70,8 +68,7 @@ with stop_on_signals() as stopping:
 
 
 def test_a_signal_that_another_thread_takes_ends_the_wait() -> None:
-    command = [sys.executable, "-c", HANDED_TO_ANOTHER_THREAD]
-    assert subprocess.run(command, timeout=PATIENCE_S, check=False).returncode == 0
+    assert python("-c", HANDED_TO_ANOTHER_THREAD).returncode == 0
 
 
 LOST = """
@@ -95,11 +92,5 @@ sys.exit(entered(command))
 
 def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
     """Ctrl-C in a demo's first second was once swallowed, and the demo ran on to its end."""
-    done = subprocess.run(
-        [sys.executable, "-c", LOST],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = python("-c", LOST)
     assert (done.returncode, done.stderr) == (130, "")

@@ -5,11 +5,9 @@ import os
 import queue
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -25,16 +23,10 @@ from runtime.zenoh_bus import (
     open_router,
 )
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.programs import started
 
 KEY = "wyner/v2/loop/offer"
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, f"not within {PATIENCE_S} s: {what}"
-        time.sleep(0.005)
 
 
 class Inbox:
@@ -120,10 +112,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
     ):
         channel = sink.channel("wyner/v2/*/offer", 4)
         publisher = source.publisher("wyner/v2/b/offer", many=True)
-        until = time.monotonic() + PATIENCE_S
-        while isinstance(publisher, ZenohPublisher) and not publisher.matched:
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        wait_for(lambda: not isinstance(publisher, ZenohPublisher) or publisher.matched)
         taken: list[tuple[str, bytes]] = []
         ended = threading.Event()
 
@@ -136,13 +125,9 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
         publisher.put(b"0")
         thread = threading.Thread(target=take)
         thread.start()
-        while len(taken) < 1:
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        wait_for(lambda: len(taken) == 1)
         publisher.put(b"1")
-        while len(taken) < 2:
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        wait_for(lambda: len(taken) == 2)
         channel.close()
         assert ended.wait(PATIENCE_S)
         thread.join()
@@ -189,7 +174,7 @@ def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None
     with ZenohBus(listen=endpoints) as plant, zenoh.open(config) as stranger:
         at_plant = Inbox(plant)
         publisher = stranger.declare_publisher(KEY)
-        until(lambda: bool(publisher.matching_status.matching), "the subscription")  # type: ignore[attr-defined]
+        wait_for(lambda: bool(publisher.matching_status.matching))  # type: ignore[attr-defined]
         own, others = f"application/json;{KEY}", "application/json;wyner/v2/loop/measurement"
         publisher.put(b"misread on its way", encoding=others)
         # What names no key may come from anywhere, and is judged by its content.
@@ -206,7 +191,7 @@ def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
     with ZenohBus(listen=endpoints) as plant, ZenohBus(connect=endpoints) as stranger:
         at_plant = Inbox(plant)
         publisher = stranger.publisher(KEY)
-        until(lambda: publisher.matched, "the subscription")
+        wait_for(lambda: publisher.matched)
         largest = b"x" * LARGEST_MESSAGE
         publisher.put(largest)
         publisher.put(b"{}" + b" " * 10**6)
@@ -271,17 +256,6 @@ with ZenohBus(connect=[sys.argv[1]]) as bus:
 """
 
 
-@contextmanager
-def listener(endpoint: str) -> Iterator["subprocess.Popen[bytes]"]:
-    with subprocess.Popen(
-        [sys.executable, "-c", LISTENER, endpoint], stdin=subprocess.PIPE
-    ) as child:
-        try:
-            yield child
-        finally:
-            child.kill()
-
-
 @pytest.mark.slow
 @pytest.mark.integration
 def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> None:
@@ -290,13 +264,13 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
     with (
         ZenohBus(listen=endpoints) as bus,
         ZenohBus(connect=endpoints) as awake,
-        listener(endpoints[0]) as child,
+        started("-c", LISTENER, endpoints[0], stdin=subprocess.PIPE) as child,
     ):
         publisher = bus.publisher(KEY)
         inbox = Inbox(awake)
         send_until_heard(bus, inbox)
         marker = bus.publisher("wyner/v2/only/the/listener")
-        until(lambda: marker.matched, "the listener")
+        wait_for(lambda: marker.matched)
         os.kill(child.pid, signal.SIGSTOP)
         payload = bytes(4096)
         slowest = 0.0
@@ -314,7 +288,7 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
             publisher.put(b"last")  # again and again: a busy machine's way may be full
             return b"last" in inbox.payloads()
 
-        until(heard, "the last message at the listener awake")
+        wait_for(heard, "the last message at the listener awake")
 
 
 NEVER_CLOSES = """
@@ -340,16 +314,10 @@ sys.exit(entered(command))
 @pytest.mark.integration
 def test_a_service_whose_session_never_closes_obeys_a_signal() -> None:
     """After a storm of declarations Zenoh's close() did not come back, and nothing ended it."""
-    with subprocess.Popen(
-        [sys.executable, "-c", NEVER_CLOSES], stdout=subprocess.PIPE, text=True
-    ) as child:
-        try:
-            assert child.stdout is not None
-            assert child.stdout.readline() == "ready\n"
-            began = time.monotonic()
-            child.terminate()
-            assert child.communicate(timeout=PATIENCE_S)[0] == "ended\n"
-            assert child.returncode == 5
-            assert time.monotonic() - began < CLOSE_S + 5.0
-        finally:
-            child.kill()
+    with started("-c", NEVER_CLOSES, stdout=subprocess.PIPE) as child:
+        assert child.stdout.readline() == "ready\n"
+        began = time.monotonic()
+        child.terminate()
+        assert child.communicate(timeout=PATIENCE_S)[0] == "ended\n"
+        assert child.returncode == 5
+        assert time.monotonic() - began < CLOSE_S + 5.0

@@ -1,12 +1,9 @@
-"""The live services' run is the engine's, bit for bit; and another road to the same verdicts."""
+"""The live services' run is the engine's, bit for bit."""
 
 import base64
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pydantic_core import to_json
 
@@ -15,7 +12,7 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
-from tests.support.plain_loop import plain_run
+from tests.support.programs import wyner
 from tests.support.size import size
 from tests.support.traces import events_of
 from wyner.simulate.engine import simulate_runs, transfer
@@ -31,9 +28,8 @@ def system(name: str) -> tuple[Scenario, CandidateLaw]:
 
 def up(folder: Path, *options: str) -> None:
     """The three services as processes over Zenoh on loopback."""
-    command = [sys.executable, "-m", "wyner.cli.main", "up", "--pace", "fast"]
-    command += ["--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    more = ("--eavesdropper", "nearest-centre", "--run-dir", str(folder), *options)
+    done = wyner("up", "--pace", "fast", *more, timeout=None)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -86,14 +82,3 @@ def test_live_services_and_engine_are_one_system(
     for trace, kind in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
         arrived = [base64.b64decode(e["payload"]) for e in events_of(tmp_path / trace, kind)]
         assert arrived == ([] if name == "paper" else [text.encode()])
-
-
-@pytest.mark.long
-def test_the_plain_way_comes_to_the_same_verdicts() -> None:
-    # OSQP and the linear programs are another road to the same sets: an independent oracle.
-    scenario, law = system("sustained")
-    plain_symbols = plain_run(scenario, law.design, seed=7, run=3, steps=120).symbols
-    runs = simulate_runs(scenario, law, seed=7, runs=range(3, 4), steps=120)
-    possible = runs.largest[:, 0] <= scenario.secrecy.alpha
-    assert plain_symbols == np.where(possible, runs.symbol[:, 0], -1).tolist()
-    assert len(set(plain_symbols)) == 3

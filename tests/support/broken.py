@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from protocol.link.effects import Effect, Effects, Publish, Save
-from runtime.perform import Ports, perform
+from runtime.perform import Do, perform
 
 FIRST_COPY = ("self._left = True  # copy 0", "self._left = False  # copy 0")
 """In the plant's stepper: a process that was started again takes its next copy for the first."""
@@ -67,15 +67,15 @@ def _replace(
     return True
 
 
-def hasty(effects: Effects, ports: Ports) -> None:
+def hasty(effects: Effects, do: Do) -> None:
     """A wrong shell, which sends before it saves."""
     held: list[Effect] = []
     for effect in effects:
         if isinstance(effect, Save):
             held.append(effect)
             continue
-        perform([effect], ports)
+        do(effect)
         if isinstance(effect, Publish):
-            perform(held, ports)
+            perform(held, do)
             held.clear()
-    perform(held, ports)
+    perform(held, do)

@@ -5,13 +5,11 @@ formula; this is the yardstick that the formula is held against.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from protocol.secret.extractor import cauchy, words
 from protocol.secret.galois import Words, inverse, multiply, product
-from protocol.secret.nonces import NONCE_BYTES
 
 
 def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
@@ -47,31 +45,15 @@ def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
     return rows, rank
 
 
-class KnownCombinations(NamedTuple):
-    """What she can compute of a block's rows.
-
-    Parameters
-    ----------
-    rows : int
-    missed : int
-        Counted copies that she missed.
-    bits : int
-        Dimension of what she knows of the rows, times the bits of a row.
-    combinations : array, shape (bits / w, rows)
-        Combinations of rows that she knows.
-    values : array, shape (bits / w, words)
-        Their values, as she computes them from the copies she heard.
-    """
-
-    rows: int
-    missed: int
-    bits: int
-    combinations: Words
-    values: Words
+def without(G: Words, gone: Sequence[int]) -> Words:
+    """Combinations of the rows of a matrix that have zeros in these columns: all there are."""
+    unit = np.eye(len(G), dtype=np.uint16)
+    reduced, rank = eliminate(np.hstack((G[:, gone], unit)), len(gone))
+    return reduced[rank:, len(gone) :]
 
 
-def held(nonces: Sequence[bytes | None], rows: int) -> KnownCombinations:
-    """Solve the block's linear system for whatever the tap can.
+def held(nonces: Sequence[bytes | None], rows: int) -> tuple[Words, Words]:
+    """Combinations of a block's rows that a tap knows, and their values as she computes them.
 
     Parameters
     ----------
@@ -80,18 +62,8 @@ def held(nonces: Sequence[bytes | None], rows: int) -> KnownCombinations:
     rows : int
         R, rows of the block, the public one included.
     """
-    missed = [j for j, nonce in enumerate(nonces) if nonce is None]
-    heard = [j for j, nonce in enumerate(nonces) if nonce is not None]
     G = cauchy(rows, len(nonces))
-    unit = np.eye(rows, dtype=np.uint16)
-    reduced, rank = eliminate(np.hstack((G[:, missed], unit)), len(missed))
-    combinations = reduced[rank:, len(missed) :]
-    present = [nonce for nonce in nonces if nonce is not None]
-    known = product(G[:, heard], words(present))
-    return KnownCombinations(
-        rows=rows,
-        missed=len(missed),
-        bits=8 * NONCE_BYTES * (rows - rank),
-        combinations=combinations,
-        values=product(combinations, known),
-    )
+    combinations = without(G, [j for j, nonce in enumerate(nonces) if nonce is None])
+    heard = [j for j, nonce in enumerate(nonces) if nonce is not None]
+    known = product(G[:, heard], words([nonce for nonce in nonces if nonce is not None]))
+    return combinations, product(combinations, known)

@@ -16,17 +16,17 @@ from typing import Any, Final, Literal
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
-from protocol.link.effects import Effects, Notice, Save
+from protocol.link.effects import Effect, Effects, Extract, Publish, Save, Tell
 from protocol.link.events import Event, lines
 from protocol.link.records import Side
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import Measurement, Message, Offer, Status
+from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
 from protocol.secret.stream import Held
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
+from runtime.perform import Crashed, Crashing, CrashPoint, Do, perform
 from tests.support.journals import controller_journal, handed_over, plant_journal
 from tests.support.line import (
     ActingLine,
@@ -46,7 +46,7 @@ Name = Literal["plant", "controller", "rival"]
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
 OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
 HEARS: Final = {"controller": ControllerCore.receives, "plant": PlantCore.receives}
-Performer = Callable[[Effects, Ports], None]
+Performer = Callable[[Effects, Do], None]
 
 MEMORY: Final = 12
 """Messages that the network keeps for each side: its memory is long, but not endless."""
@@ -55,18 +55,18 @@ QUIET_S: Final = 60.0
 """Virtual seconds without a step after which a loop is stuck."""
 
 
-class MortalPorts(CrashingPorts):
-    """Ports of a process that may also die so many things after an event's turn has come."""
+class Mortal(Crashing):
+    """A process that may also die so many things after an event's turn has come."""
 
     since: str = ""
     after = 0
 
-    def trace(self, event: Event) -> None:
-        """Die, or trace."""
-        if self.since in [line["event"] for line in lines(event)]:
+    def do(self, effect: Effect) -> None:
+        """Die, or carry it out."""
+        if isinstance(effect, Tell) and self.since in [x["event"] for x in lines(effect.event)]:
             self.since = ""
             self.crash_at(after=self.after)
-        super().trace(event)
+        super().do(effect)
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Alive:
     """
 
     endpoint: ControllerCore | PlantCore
-    ports: MortalPorts
+    shell: Mortal
     files: Any = None
     closed: deque[ClosedBlock] = field(default_factory=deque)
     extracted: deque[ExtractedBlock] = field(default_factory=deque)
@@ -143,10 +143,10 @@ class Pair(ABC):
         event ``since`` on, by its name in the trace: 0 is before it is traced, 1 before it is
         saved.
         """
-        ports = self.ends[side].ports
-        ports.since, ports.after = since, after
+        shell = self.ends[side].shell
+        shell.since, shell.after = since, after
         if not since:
-            ports.crash_at(before, after)
+            shell.crash_at(before, after)
 
     @property
     def controller(self) -> ControllerCore:
@@ -168,7 +168,7 @@ class Pair(ABC):
         """An end acts; one that dies over it begins anew at once."""
         end = self.ends[side]
         try:
-            self.performer(act(self.now), end.ports)
+            self.performer(act(self.now), end.shell.do)
         except Crashed:
             self.die(side)
 
@@ -274,23 +274,19 @@ class _Ports:
     def __init__(self, world: "LinePair", side: Name, closed: deque[ClosedBlock]) -> None:
         self._world, self._side = world, side
         self._reports = Reports()
-        self.extract = closed.append
+        self._closed = closed
 
-    def save(self, save: Save) -> None:
-        self._reports.look(save)
-        self._world.saved(self._side, save)
-
-    def publish(self, message: Message) -> None:
-        self._world.said(self._side, mail(message))
-
-    def trace(self, event: Event) -> None:
-        self._world.traced(self._side, event)
-
-    def log_notice(self, notice: Notice) -> None:
-        pass
-
-    def health(self, status: Status) -> None:
-        pass
+    def do(self, effect: Effect) -> None:
+        match effect:
+            case Save():
+                self._reports.look(effect)
+                self._world.saved(self._side, effect)
+            case Publish(message):
+                self._world.said(self._side, mail(message))
+            case Tell(event):
+                self._world.traced(self._side, event)
+            case Extract(block):
+                self._closed.append(block)
 
 
 class LinePair(Pair):
@@ -383,9 +379,9 @@ class LinePair(Pair):
 
     def open(self, side: Name) -> Alive:
         closed = deque[ClosedBlock]()
-        ports = MortalPorts(_Ports(self, side, closed))
-        end = self._plant(ports) if side == "plant" else self._controller(side)
-        return Alive(end, ports, closed=closed)
+        shell = Mortal(_Ports(self, side, closed).do)
+        end = self._plant(shell) if side == "plant" else self._controller(side)
+        return Alive(end, shell, closed=closed)
 
     def _controller(self, side: Name) -> ControllerCore:
         journal = self.journals[side]
@@ -393,12 +389,12 @@ class LinePair(Pair):
         propose = partial(self.propose, side)
         return line_controller(self.rules, propose, journal, self._covers, self.name())
 
-    def _plant(self, ports: CrashingPorts) -> PlantCore:
+    def _plant(self, shell: Crashing) -> PlantCore:
         journal = self.journals["plant"]
         assert isinstance(journal, PlantJournal)
         common = self.name, self.name(), self.now, self.period_s
         if self.device is not None:
-            self.device.passes = ports.passes
+            self.device.passes = shell.passes
         core, self.line = line_plant(self.rules, journal, *common, device=self.device)
         return core
 

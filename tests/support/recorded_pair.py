@@ -26,7 +26,7 @@ from controller_service.laws.registry import cached_design, make_law
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
-from protocol.link.effects import Save
+from protocol.link.effects import Effect, Save
 from protocol.link.records import Side
 from protocol.link.session import reports
 from protocol.link.step import Answered
@@ -41,7 +41,7 @@ from runtime.run_folder import CAPTURE, SCENARIO
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import mirror_line
 from tests.support.mail import Mail, mail
-from tests.support.pair import SIDES, Alive, MortalPorts, Name, Pair
+from tests.support.pair import SIDES, Alive, Mortal, Name, Pair
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
@@ -94,10 +94,10 @@ class _Ports(LoopPorts):
 
     received: list[bytes]
 
-    def save(self, save: Save) -> None:
-        super().save(save)
-        if save.received is not None:
-            self.received.append(save.received)
+    def do(self, effect: Effect) -> None:
+        super().do(effect)
+        if isinstance(effect, Save) and effect.received is not None:
+            self.received.append(effect.received)
 
 
 class RecordedPair(Pair):
@@ -218,7 +218,7 @@ class RecordedPair(Pair):
             closed.append,
         )
         ports.received = self.received
-        return Alive(core, MortalPorts(ports), files, closed)
+        return Alive(core, Mortal(ports.do), files, closed)
 
     def die(self, side: Name) -> None:
         """It is killed, and comes back at once."""

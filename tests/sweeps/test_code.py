@@ -1,16 +1,15 @@
 """The version of the code: what it means changes it, and what is said about it does not."""
 
 import ast
-import subprocess
-import sys
 from collections.abc import Callable
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 
+from tests.support.programs import python
 from wyner.sweeps import code
-from wyner.sweeps.code import DOORS, LOOP, ROOMS, ROOT, TAPS, code_of, meaning, same_code
+from wyner.sweeps.code import DOORS, LOOP, ROOMS, TAPS, code_of, meaning, same_code
 
 A = '''"""What it is."""
 
@@ -99,13 +98,7 @@ def test_versions_of_one_code_are_told_from_those_without_a_hash() -> None:
 
 
 def imported(statement: str) -> set[str]:
-    done = subprocess.run(
-        [sys.executable, "-c", f"{statement}; import sys; print(*sys.modules, sep='\\n')"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
-    )
+    done = python("-c", f"{statement}; import sys; print(*sys.modules, sep='\\n')")
     return {name for name in done.stdout.splitlines() if name.partition(".")[0] in ROOMS}
 
 

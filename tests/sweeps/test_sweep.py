@@ -14,6 +14,7 @@ import pytest
 
 from runtime.shipped import scenario_file_of
 from tests.support.patience import PATIENCE_S
+from tests.support.programs import python
 from wyner import api
 from wyner.cli.main import main
 from wyner.sweeps.code import loop_version
@@ -426,13 +427,7 @@ sys.exit(entered(command))
 
 def test_ctrl_c_that_a_library_caught_ends_the_tasks() -> None:
     """The models' serialiser catches what is raised while it asks Python for a field."""
-    done = subprocess.run(
-        [sys.executable, "-c", CAUGHT],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = python("-c", CAUGHT)
     assert (done.returncode, done.stdout.split(), done.stderr) == (130, ["0", "1", "2"], "")
 
 

@@ -18,17 +18,12 @@ from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.programs import started, wyner
 from tests.support.traces import events_of, recovered_in
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
-WYNER = [sys.executable, "-m", "wyner.cli.main"]
-
-
-def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*WYNER, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+WYNER = ("-m", "wyner")
 
 
 def status(run_dir: Path, service: str) -> dict[str, Any]:
@@ -92,21 +87,13 @@ def kill_and_see_it_back(parent: int, victim: str, run_dir: Path) -> None:
 def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
     """Each service is killed in the middle of the message; it arrives all the same."""
     run_dir = tmp_path / "run"
-    command = [*WYNER, *["up", "--pace", "x20", "--until-delivered", "--json"]]
-    process = subprocess.Popen(
-        [*command, "--run-dir", str(run_dir), "--message", "Killed, and told all the same."],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
+    command = [*WYNER, "up", "--pace", "x20", "--until-delivered", "--json"]
+    command += ["--run-dir", str(run_dir), "--message", "Killed, and told all the same."]
+    with started(*command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         wait_for(lambda: counted(run_dir, "plant") > 40)
         for victim in ("controller", "plant", "tap"):
             kill_and_see_it_back(process.pid, victim, run_dir)
         out, _ = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-        process.wait()
     summary = json.loads(out.splitlines()[-1])
     assert process.returncode == 0
     assert summary["delivered"]
@@ -118,18 +105,11 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
 
 def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    process = subprocess.Popen(
-        [*WYNER, "up", "--pace", "x10", "--run-dir", str(run_dir)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
+    command = [*WYNER, "up", "--pace", "x10", "--run-dir", str(run_dir)]
+    with started(*command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         wait_for(lambda: counted(run_dir, "plant") > 5)
         services = children_of(process.pid)
         assert services.keys() == {"controller", "plant", "tap"}
-    finally:
-        process.kill()
-        process.wait()
     wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in services.values()))
 
 
@@ -154,7 +134,7 @@ class ByHand:
                 joins += ["--connect", f"field={at}"]
         run = ["--run-dir", str(self.run_dir), "--scenario", "runtime/scenarios/sustained.toml"]
         self.processes[service] = subprocess.Popen(
-            [*WYNER, service, *run, *listens, *joins, *arguments],
+            [sys.executable, *WYNER, service, *run, *listens, *joins, *arguments],
             stderr=subprocess.PIPE,
             text=True,
         )
@@ -215,16 +195,9 @@ def test_a_run_can_be_joined_without_an_option(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     message = "first\nline\tand more of it"
     command = [sys.executable, "-m", "wyner", "up", "--pace", "x10", "--json", "--message", message]
+    in_background = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
     with subprocess.Popen(
-        [
-            "sh",
-            "-c",
-            'trap "" INT; exec "$@"',
-            "sh",
-            *command,
-            "--run-dir",
-            str(tmp_path / "joined"),
-        ],
+        [*in_background, "--run-dir", str(tmp_path / "joined")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -237,14 +210,8 @@ def test_a_run_can_be_joined_without_an_option(
             told = " ".join(sent.stdout.split())
             assert f"at run {tmp_path / 'joined'}, loop loop: 6 bytes" in told
             assert "2 not delivered yet" in told
-            with subprocess.Popen(
-                [sys.executable, "-m", "wyner", "dashboard"],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            ) as dashboard:
-                assert dashboard.stdout is not None
-                assert dashboard.stderr is not None
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+            with started(*WYNER, "dashboard", **pipes) as dashboard:
                 joined = f"joining the run {tmp_path / 'joined'} (sustained)"
                 assert joined in dashboard.stderr.readline()
                 assert any("plant running" in line for line in dashboard.stdout)

@@ -7,7 +7,6 @@ import pty
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from runtime.run_folder import (
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.programs import python, started
 from tests.support.traces import events_of
 from tests.system.test_integration import status
 
@@ -37,9 +37,7 @@ def read_from_stdin(message: str, given: bytes) -> bytes | None:
         "import sys; from runtime.options import message_of;"
         "sys.stdout.buffer.write(message_of(sys.argv[1]))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, message], input=given, capture_output=True, check=False
-    )
+    done = python("-c", program, message, input=given, text=False)
     return None if done.returncode else done.stdout
 
 
@@ -58,17 +56,15 @@ def test_what_is_typed_ends_without_its_last_enter() -> None:
     leader, follower = pty.openpty()
     try:
         program = "from runtime.options import message_of; print(repr(message_of('-')))"
-        with subprocess.Popen(
-            [sys.executable, "-c", program],
-            stdin=follower, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        ) as child:  # fmt: skip
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with started("-c", program, stdin=follower, **pipes) as child:
             os.write(leader, b"at nine\n\x04")
             out, said = child.communicate(timeout=PATIENCE_S)
     finally:
         os.close(leader)
         os.close(follower)
-    assert out == b"b'at nine'\n"
-    assert said == b"type the message; Enter, then Ctrl-D end it\n"
+    assert out == "b'at nine'\n"
+    assert said == "type the message; Enter, then Ctrl-D end it\n"
 
 
 class Seen:
@@ -154,11 +150,6 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     scenario.write_text(blind)
     arguments = ["--scenario", str(scenario), "--message", f"@{file}"]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "wyner", "up", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
     seen = Seen(run)
 
     def keys_made() -> int:
@@ -168,13 +159,11 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
         its = [status(run, end).get("keys", {}) for end in ("controller", "plant")]
         return min(int(keys.get("made", 0)) for keys in its)
 
-    try:
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with started("-m", "wyner", "up", *arguments, **quiet) as process:
         wait_for(lambda: keys_made() > 10)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 130
-    finally:
-        process.kill()
-        process.wait()
     live = set(seen.pieces)
     seen.look_back()
     secrets = secrets_of(run)

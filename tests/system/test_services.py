@@ -26,7 +26,7 @@ from runtime.health import read_status
 from runtime.host import Host
 from runtime.logs import logger
 from runtime.pace import Pace
-from runtime.perform import Ports, perform
+from runtime.perform import Do, perform
 from runtime.run_folder import CAPTURE, PLANT_STATUS, PLANT_TRACE
 from tests.support.line import line_rules
 from tests.support.mail import Mail, mail
@@ -93,8 +93,8 @@ class Rivals(LinePair):
         rules = line_rules(alpha=4.0, largest_input=1e9)
         super().__init__(rules, 0.1, [b"one"], rivals=[b"two"])
 
-    def performer(self, effects: Effects, ports: Ports) -> None:
-        perform(self._noted(effects), ports)
+    def performer(self, effects: Effects, do: Do) -> None:
+        perform(self._noted(effects), do)
 
     def _noted(self, effects: Effects) -> Effects:
         for effect in effects:

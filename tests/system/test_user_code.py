@@ -2,17 +2,14 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from runtime.shipped import SCENARIOS
-from tests.support.patience import PATIENCE_S
+from tests.support.programs import ROOT, wyner
 
 pytestmark = pytest.mark.slow
-
-ROOT = Path(__file__).resolve().parents[2]
 
 LAW = """
 import os, time
@@ -55,18 +52,8 @@ def up(
     text = (SCENARIOS / "sustained.toml").read_text()
     assert old in text
     (folder / "own.toml").write_text(text.replace(old, own).replace("[secrecy]", secrecy))
-    return subprocess.run(
-        [
-            *(sys.executable, "-m", "wyner", "up", "--scenario", "own.toml"),
-            *("--pace", "fast", "--run-dir", "run"),
-        ],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{folder}:{ROOT}"},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    options = ("--scenario", "own.toml", "--pace", "fast", "--run-dir", "run")
+    return wyner("up", *options, cwd=folder, env={**os.environ, "PYTHONPATH": f"{folder}:{ROOT}"})
 
 
 @pytest.mark.parametrize(("what", "why"), [(LOOPS, "has not returned for 3 s"), (ENDS, "")])

@@ -15,9 +15,8 @@ from runtime import recording
 from runtime.recording import Bounds, part_path, parts_of
 from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
-from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
+from tap_service.capture.recording import RotatingLog, mirror_line
 from tests.support.lines import unmark
-from tests.support.traces import events_of
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"
@@ -53,26 +52,6 @@ def of_the_loop(reader: CaptureReader) -> Iterator[Measurement | Offer]:
         yield message
 
 
-def test_messages_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    record(tmp_path / CAPTURE, 50).close()
-    reader, messages = read(tmp_path)
-    assert messages == [measurement(k) for k in range(50)]
-    assert reader.header["capture_version"] == 2
-    assert reader.header["loop"] == "loop"
-    assert reader.torn == reader.malformed == 0
-
-
-def test_a_torn_last_line_loses_that_line_only(tmp_path: Path) -> None:
-    path = tmp_path / CAPTURE
-    record(path, 20).close()
-    unmark(path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-30])
-    reader, messages = read(path)
-    assert messages == [measurement(k) for k in range(19)]
-    assert reader.torn == 1
-
-
 def test_going_on_after_a_crash_begins_a_new_part(tmp_path: Path) -> None:
     path = tmp_path / CAPTURE
     record(path, 5).close()
@@ -90,17 +69,6 @@ def test_a_line_break_inside_a_payload_stays_one_line() -> None:
     line = mirror_line(1, "measurement", payload)
     assert b"\n" not in line
     assert from_json(line)["message"] == from_json(payload)
-
-
-def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
-    log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
-    log.write(malformed_line(5, "wyner/v2/loop/offer", b"\x00\xff{\n"))
-    log.close()
-    (event,) = events_of(tmp_path / CAPTURE, "malformed")
-    assert (event["key"], event["base64"]) == ("wyner/v2/loop/offer", "AP97Cg==")
-    reader, messages = read(tmp_path)
-    assert not messages
-    assert reader.malformed == 1
 
 
 def test_parts_end_by_size_and_the_oldest_go(

@@ -10,13 +10,14 @@ import pytest
 
 from protocol.messages import FieldMessage, TapStatus
 from runtime.recording import Bounds
-from runtime.run_folder import BELIEFS, CAPTURE
+from runtime.run_folder import BELIEFS
 from studies.secrecy.runs import Run, simulate
 from tap_service.analysis import Assignment
 from tap_service.beside import Beside
-from tap_service.capture.recording import RotatingLog, mirror_line
+from tap_service.capture.channel import View
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
+from tests.tap.test_analysis import header, record
 from tests.tap.test_service import Wire, config
 from wyner.runs.run import guess_logs
 from wyner.simulate.engine import simulate_runs, transfer
@@ -58,16 +59,11 @@ def heard(
     tmp_path: Path, run: Run, act: str, answer_s: float = PATIENCE_S
 ) -> tuple[TapStatus, dict[str, Any]]:
     """What she says at the end of a capture."""
-    limits, log = Bounds(free_bytes=0), logging.getLogger("test")
-    knowledge = run.scenario.knowledge()
-    header = {"loop": "loop", "knowledge": knowledge.model_dump(mode="json"), "view": {}}
-    capture = RotatingLog(tmp_path / CAPTURE, header, limits, log)
-    for i, message in enumerate(run.messages):
-        capture.write(mirror_line(i, message.topic, message.wire()))
-    capture.close()
-    told = {guest(tmp_path, act): knowledge}
+    record(run, tmp_path, View())
+    limits, told = Bounds(free_bytes=0), {guest(tmp_path, act): run.scenario.knowledge()}
     guesses = Path("tap/analysis-1.jsonl")
-    beside = Beside(Assignment(tmp_path, guesses, told, limits, header, answer_s), log)
+    given = Assignment(tmp_path, guesses, told, limits, header(run, View()), answer_s)
+    beside = Beside(given, logging.getLogger("test"))
     beside.finish()
     try:
         for _ in beside.last_reports(time.monotonic() + PATIENCE_S, len(run.messages)):

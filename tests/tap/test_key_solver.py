@@ -25,7 +25,7 @@ from tests.support.line import keyed_rules
 from tests.support.mail import Mail
 from tests.support.pair import LinePair, Name
 from tests.support.size import size
-from wyner.runs.score.report import held_line
+from wyner.runs.score.words import held_line
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)

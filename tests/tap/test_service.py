@@ -7,8 +7,6 @@ import logging
 import os
 import random
 import signal
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -32,7 +30,7 @@ from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import hear_again
 
@@ -125,6 +123,7 @@ def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_pat
     assert [m for _, m in reader.records()] == list(run.messages)
     kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "malformed"]
     assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
+    assert {e["key"] for e in kept} == {key_of(Offer, "loop")}
     assert reader.malformed == wire.statuses[-1].unused.malformed == len(junk)
     assert told(said, "undecodable") == len(junk)
 
@@ -375,10 +374,3 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     record = json.loads((tmp_path / BELIEFS).read_bytes())["nearest-centre"]
     assert (record["failed"], record["symbols"]) == (why, None)
     assert "nearest-centre failed" in health_in(tmp_path)
-
-
-def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, f"no {what} within {timeout_s} s"
-        time.sleep(0.02)

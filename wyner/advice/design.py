@@ -7,6 +7,8 @@ from math import log2
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.errors import OutsideError
 from controller_service.laws.registry import cached_design, make_law
@@ -14,6 +16,7 @@ from controller_service.progress import shown_progress
 from controller_service.sets.dead_link import dead_link_budget
 from controller_service.sets.design import Design
 from controller_service.sets.invariance import invariance
+from controller_service.sets.terminal import Terminal
 from protocol.convex import Polytope, corners, planar_area
 from protocol.scenario import Scenario
 from protocol.schemes.registry import scheme_named
@@ -23,6 +26,7 @@ from wyner.advice import rate as settling
 from wyner.advice.answer import Answer, answer
 from wyner.advice.rate import SettledRate, long_runs, settled_rate
 from wyner.advice.why import Why, why
+from wyner.findings import Findings
 from wyner.simulate.engine import SimulationError
 from wyner.simulate.missed import missed_steps
 
@@ -37,212 +41,22 @@ INVARIANCE: Final = {
 """What was found of T_0, by :func:`controller_service.sets.invariance.invariance`."""
 
 
-@dataclass(frozen=True)
-class UnderKeys:
-    """What a message under distilled keys can have at most, and the first step that has a key."""
-
-    bits_per_second_at_most: float
-    first_step: int
-
-
-@dataclass(frozen=True)
-class DesignReport:
-    """What a scenario's design is worth.
+@dataclass(frozen=True, eq=False)
+class DesignReport(Findings):
+    """What a scenario's design is worth; its lines begin with secrecy, cost and attack.
 
     Parameters
     ----------
     scenario : Scenario
     law : CandidateLaw
-    ready_seconds : float
-    simulated : bool
-        Whether the loop could be simulated: the plant is linear, and the scheme agrees its keys.
-    answer, rate, why : optional
-        What the loop carries and costs, its settled rate, and why it is that. None where it was
-        not simulated, cannot start or leaves the sets.
-    under_keys : UnderKeys, optional
-        For a scheme whose message travels under distilled keys.
-    missed : Interval, optional
-        The share of steps that the scenario's network misses; None where it has none.
+        With the design, its sets and gain.
+    carries_nothing : bool
+        Whether the loop was simulated, and cannot start or leaves the sets.
     """
 
     scenario: Scenario
     law: CandidateLaw
-    ready_seconds: float
-    simulated: bool
-    answer: Answer | None
-    rate: SettledRate | None
-    why: Why | None
-    under_keys: UnderKeys | None
-    missed: Interval | None
-
-    @property
-    def design(self) -> Design:
-        """Its sets and gain."""
-        return self.law.design
-
-    @property
-    def carries_nothing(self) -> bool:
-        """Whether the loop was simulated, and cannot start or leaves the sets."""
-        return self.simulated and self.rate is None
-
-    def sets(self) -> list[dict[str, Any]]:
-        """Facets, and interval or area, of some of the sets."""
-        out = []
-        for i in sorted({*(i for i in SHOWN if i <= self.design.horizon), self.design.horizon}):
-            entry: dict[str, Any] = {"index": i, "facets": self.design.facets[i]}
-            if self.scenario.n == 1:
-                entry["interval"] = corners(*self.design.set(i))[:, 0].tolist()
-            elif self.scenario.n == 2:
-                entry["area"] = planar_area(Polytope(*self.design.set(i)))
-            out.append(entry)
-        return out
-
-    def start(self) -> dict[str, Any]:
-        """The initial state with its index, or why it has none."""
-        state = self.scenario.initial_state
-        try:
-            return {"state": list(state), "index": self.law.index(state)}
-        except OutsideError as error:
-            return {"state": list(state), "outside": str(error)}
-
-    def to_json(self) -> dict[str, Any]:
-        """One object for machines."""
-        s, design = self.scenario, self.design
-        D_c, found = s.control.disturbance, s.defender.calibration
-        return {
-            "scenario": s.name,
-            "law": s.control.law,
-            "states": s.n,
-            "inputs": s.m,
-            "horizon": design.horizon,
-            "horizon_asked": s.control.horizon,
-            "stopped": design.stopped,
-            "gain": design.K.tolist(),
-            "gain_source": self._gain_source(),
-            "terminal": vars(design.terminal),
-            "invariance": invariance(s, design),
-            "sets": self.sets(),
-            "largest_deflation": 2 * max(design.margins),
-            "start": self.start(),
-            "fallback": s.link.fallback,
-            "dead_link_steps": dead_link_budget(s, design),
-            "control_set": None if D_c is None else D_c.model_dump(exclude_none=True),
-            "noisy": s.defender.noise is not None,
-            "calibration": None if found is None else found.model_dump(),
-            "cached": design.cached,
-            "fingerprint": s.design_fingerprint(),
-            "seconds": round(design.seconds, 4),
-            "ready_seconds": round(self.ready_seconds, 4),
-            "answer": None if self.answer is None else self.answer.as_json(),
-            "rate": None if self.rate is None else self.rate.as_json(),
-            "simulated": self.simulated,
-            "under_keys": None if self.under_keys is None else vars(self.under_keys),
-            "network": self._network_json(),
-            "why": None if self.why is None else self.why.as_json(),
-        }
-
-    def __str__(self) -> str:
-        """Lines for people: first secrecy, cost and attack."""
-        worth = [] if self.answer is None else [*self.answer.lines(), ""]
-        reasons = [] if self.why is None else self.why.lines()
-        lines = [*worth, *self._of_sets(), *self._of_safety(), "", *self._of_rate(), *reasons]
-        return "\n".join(lines)
-
-    def _gain_source(self) -> str:
-        return "given" if self.design.gain_given else "linear quadratic regulator"
-
-    def _network_json(self) -> dict[str, Any] | None:
-        if self.missed is None:
-            return None
-        share = self.missed.as_json()
-        interval = [share["low"], share["high"]]
-        about = {"runs": settling.RUNS, "steps": settling.STEPS, "seed": settling.SEED}
-        return {"missed_share": share["value"], "interval_95": interval, **about}
-
-    def _of_sets(self) -> Iterator[str]:
-        s, design = self.scenario, self.design
-        yield f"{s.name}: {s.n} state(s), {s.m} input(s), law {s.control.law}"
-        when = "read from the cache, computed once in" if design.cached else "computed in"
-        fewer = ""
-        if design.horizon < s.control.horizon:
-            why_fewer = "they stop growing there"
-            if design.stopped:
-                why_fewer = (
-                    "larger ones are so long beside their width that rounding could put states "
-                    "into them that no input steers"
-                )
-            fewer = f" ({why_fewer}; {s.control.horizon} were asked)"
-        yield f"sets T_0..T_{design.horizon} {when} {design.seconds:.3f} s{fewer}"
-        rows = "; ".join(" ".join(f"{v:.6g}" for v in row) for row in design.K.tolist())
-        yield f"K ({self._gain_source()}): {rows}"
-        yield self._terminal()
-        yield INVARIANCE[invariance(s, design)]
-        sets = self.sets()
-        extent = next((name for name in ("area", "interval") if name in sets[0]), "")
-        yield f"{'index':>7} {'facets':>7}  {extent}".rstrip()
-        for one in sets:
-            values = one["interval"] if extent == "interval" else [one[extent]] if extent else []
-            shown = " to ".join(f"{v:.6g}" for v in values)
-            yield f"{one['index']:>7} {one['facets']:>7}  {shown}".rstrip()
-        start = self.start()
-        where = f"index {start['index']}" if "index" in start else start["outside"]
-        if "outside" in start:
-            where += "; start nearer to the origin, or enlarge control.horizon"
-        yield f"initial state {start['state']}: {where}"
-
-    def _terminal(self) -> str:
-        t = self.design.terminal
-        if t.method == "rakovic":
-            return (
-                f"T_0: Rakovic's approximation of order {t.order}, contraction {t.alpha:.3g}, "
-                f"within {t.bound:.3g} of the minimal invariant set"
-            )
-        kinds = {
-            "interval": "the minimal invariant interval",
-            "modal": f"parallelepiped in the modes of A + B K, radius {t.bound:.3g}",
-            "invariant": f"the largest set that any control keeps, radius {t.bound:.3g}",
-        }
-        return f"T_0: {kinds.get(t.method, t.method)}"
-
-    def _of_safety(self) -> Iterator[str]:
-        s = self.scenario
-        steps = dead_link_budget(s, self.design)
-        lasts = "the plant stays inside T_N for ever"
-        if steps is not None:
-            lasts = (
-                f"every state of T_0 lasts {steps} step{'' if steps == 1 else 's'}, whatever d, "
-                "before it may leave T_N"
-            )
-        yield f"dead link, fallback {s.link.fallback}: {lasts}"
-        if s.control.disturbance is not None:
-            yield "the sets resist control.disturbance, which is larger than the test's D_c"
-        c = s.defender.calibration
-        what = "D_c" if s.defender.noise is None else "W = D_c + N - A N"
-        if c is not None:
-            yield (
-                f"{what}: a session of {c.steps} steps leaves it "
-                f"with probability at most {c.violation:.3g}, confidence {c.confidence:g} "
-                f"({c.exceeded} of {c.sessions} fresh sessions did)"
-            )
-        if self.missed is not None:
-            yield (
-                f"network: {self.missed.scaled(100.0).text('.3g', ' %')} of steps missed, in "
-                f"{settling.RUNS} runs of {settling.STEPS} steps, seed {settling.SEED}; none in "
-                "lock-step"
-            )
-
-    def _of_rate(self) -> list[str]:
-        if self.under_keys is not None:
-            return [
-                f"message rate: {self.under_keys.bits_per_second_at_most:.3g} bit/s at most, from "
-                f"step {self.under_keys.first_step} on at the earliest: each symbol travels under "
-                "distilled keys, and is secret while their claim holds"
-            ]
-        if self.rate is not None:
-            return self.rate.lines()
-        if self.simulated:
-            return ["settled rate: none, the loop cannot start or leaves the sets"]
-        return ["settled rate: not simulated, as plant code runs in the plant alone"]
+    carries_nothing: bool
 
 
 def design_report(scenario: Scenario, folder: Path) -> DesignReport:
@@ -267,21 +81,78 @@ def design_report(scenario: Scenario, folder: Path) -> DesignReport:
     keyed = _under_keys(scenario)
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
     simulated = linear and keyed is None
-    rate, reasons, worth = (simulated and _rate(scenario, law, folder)) or (None, None, None)
-    missed = missed_steps(
-        scenario, seed=settling.SEED, runs=range(settling.RUNS), steps=settling.STEPS
-    )
-    share = None
-    if missed is not None:
-        share = share_over_runs([(int(m), settling.STEPS) for m in missed.sum(axis=0)])
-    return DesignReport(scenario, law, ready, simulated, worth, rate, reasons, keyed, share)
+    rate, reasons, worth = _worth(scenario, law, folder) if simulated else (None, None, None)
+    missed = _missed(scenario)
+    control_set, calibration = scenario.control.disturbance, scenario.defender.calibration
+    figures = {
+        "scenario": scenario.name,
+        "law": scenario.control.law,
+        "states": scenario.n,
+        "inputs": scenario.m,
+        "horizon": design.horizon,
+        "horizon_asked": scenario.control.horizon,
+        "stopped": design.stopped,
+        "gain": design.K.tolist(),
+        "gain_source": "given" if design.gain_given else "linear quadratic regulator",
+        "terminal": vars(design.terminal),
+        "invariance": invariance(scenario, design),
+        "sets": _sets(scenario, design),
+        "largest_deflation": 2 * max(design.margins),
+        "start": _start(scenario, law),
+        "fallback": scenario.link.fallback,
+        "dead_link_steps": dead_link_budget(scenario, design),
+        "control_set": None if control_set is None else control_set.model_dump(exclude_none=True),
+        "noisy": scenario.defender.noise is not None,
+        "calibration": None if calibration is None else calibration.model_dump(),
+        "cached": design.cached,
+        "fingerprint": scenario.design_fingerprint(),
+        "seconds": round(design.seconds, 4),
+        "ready_seconds": round(ready, 4),
+        "answer": None if worth is None else worth.as_json(),
+        "rate": None if rate is None else rate.as_json(),
+        "simulated": simulated,
+        "under_keys": keyed,
+        "network": None if missed is None else _of_network(missed),
+        "why": None if reasons is None else reasons.as_json(),
+    }
+    lines = [] if worth is None else [*worth.lines(), ""]
+    lines += _of_sets(design, figures)
+    lines += _of_safety(scenario, figures, missed)
+    lines.append("")
+    lines += [_without_rate(figures)] if rate is None else rate.lines()
+    lines += [] if reasons is None else reasons.lines()
+    return DesignReport(figures, lines, scenario, law, simulated and rate is None)
 
 
-def _under_keys(scenario: Scenario) -> UnderKeys | None:
-    """None under a scheme that agrees its own keys.
+def _worth(
+    scenario: Scenario, law: CandidateLaw, folder: Path
+) -> tuple[SettledRate | None, Why | None, Answer | None]:
+    """The rate, why it is what it is, and what it is worth.
 
-    A step carries a symbol where it has its digits. Keys give so many at most, where nothing is
-    lost.
+    None where the loop cannot start or leaves the sets; no reasons where no set decides.
+    """
+    try:
+        runs = long_runs(scenario, law, folder, record=True)
+    except SimulationError:
+        return None, None, None
+    rate = settled_rate(runs)
+    found = answer(scenario, law.design, runs, rate.settled)
+    if scenario.plant.C is not None or scenario.defender.deviations is not None:
+        return rate, None, found
+    if scenario.network is not None:
+        whole = scenario.model_copy(update={"network": None})
+        try:
+            runs = long_runs(whole, law, folder, record=True)
+        except SimulationError:
+            return rate, None, found
+    return rate, why(scenario, runs), found
+
+
+def _under_keys(scenario: Scenario) -> dict[str, float] | None:
+    """What a message under distilled keys can have at most, and the first step that has a key.
+
+    None under a scheme that agrees its own keys. A step carries a symbol where it has its digits.
+    Keys give so many at most, where nothing is lost.
     """
     schedule = None if scenario.keys is None else scenario.keys.schedule()
     if schedule is None or not scheme_named(scenario.secrecy.scheme).from_stream:
@@ -291,30 +162,127 @@ def _under_keys(scenario: Scenario) -> UnderKeys | None:
     digits = keys * KEY_BITS // WORD_BITS * digits_per_word(M)[0]
     steps = digits / (N * scenario.digits)
     rate = min(1.0, steps) * log2(M) / scenario.plant.period_s
-    return UnderKeys(rate, schedule.first_use)
+    return {"bits_per_second_at_most": rate, "first_step": schedule.first_use}
 
 
-def _rate(
-    scenario: Scenario, law: CandidateLaw, folder: Path
-) -> tuple[SettledRate, Why | None, Answer] | None:
-    """The rate, why it is what it is, and what it is worth.
-
-    None where the loop cannot start or leaves the sets.
-    """
-    try:
-        runs = long_runs(scenario, law, folder, record=True)
-    except SimulationError:
+def _missed(scenario: Scenario) -> Interval | None:
+    """The share of steps that the scenario's network misses; None where it has none."""
+    runs = range(settling.RUNS)
+    missed = missed_steps(scenario, seed=settling.SEED, runs=runs, steps=settling.STEPS)
+    if missed is None:
         return None
-    rate = settled_rate(runs)
-    found = answer(scenario, law.design, runs, rate.settled)
-    if scenario.plant.C is not None:
-        return rate, None, found
-    if scenario.defender.deviations is not None:  # no set decides there
-        return rate, None, found
-    if scenario.network is not None:
-        whole = scenario.model_copy(update={"network": None})
-        try:
-            runs = long_runs(whole, law, folder, record=True)
-        except SimulationError:
-            return rate, None, found
-    return rate, why(scenario, runs), found
+    return share_over_runs([(int(m), settling.STEPS) for m in missed.sum(axis=0)])
+
+
+def _of_network(missed: Interval) -> dict[str, Any]:
+    share = missed.as_json()
+    interval = [share["low"], share["high"]]
+    about = {"runs": settling.RUNS, "steps": settling.STEPS, "seed": settling.SEED}
+    return {"missed_share": share["value"], "interval_95": interval, **about}
+
+
+def _sets(scenario: Scenario, design: Design) -> list[dict[str, Any]]:
+    """Facets, and interval or area, of some of the sets."""
+    out = []
+    for i in sorted({*(i for i in SHOWN if i <= design.horizon), design.horizon}):
+        entry: dict[str, Any] = {"index": i, "facets": design.facets[i]}
+        if scenario.n == 1:
+            entry["interval"] = corners(*design.set(i))[:, 0].tolist()
+        elif scenario.n == 2:
+            entry["area"] = planar_area(Polytope(*design.set(i)))
+        out.append(entry)
+    return out
+
+
+def _start(scenario: Scenario, law: CandidateLaw) -> dict[str, Any]:
+    """The initial state with its index, or why it has none."""
+    state = scenario.initial_state
+    try:
+        return {"state": list(state), "index": law.index(state)}
+    except OutsideError as error:
+        return {"state": list(state), "outside": str(error)}
+
+
+def _of_sets(design: Design, told: dict[str, Any]) -> Iterator[str]:
+    size = f"{told['states']} state(s), {told['inputs']} input(s)"
+    yield f"{told['scenario']}: {size}, law {told['law']}"
+    when = "read from the cache, computed once in" if design.cached else "computed in"
+    fewer = ""
+    if design.horizon < told["horizon_asked"]:
+        why_fewer = "they stop growing there"
+        if design.stopped:
+            why_fewer = (
+                "larger ones are so long beside their width that rounding could put states into "
+                "them that no input steers"
+            )
+        fewer = f" ({why_fewer}; {told['horizon_asked']} were asked)"
+    yield f"sets T_0..T_{design.horizon} {when} {design.seconds:.3f} s{fewer}"
+    # what rounding has left of a zero is shown as one
+    rows = "; ".join(" ".join(f"{round(v, 12) + 0.0:.6g}" for v in row) for row in told["gain"])
+    yield f"K ({told['gain_source']}): {rows}"
+    yield _terminal(design.terminal)
+    yield INVARIANCE[told["invariance"]]
+    extent = {1: "interval", 2: "area"}.get(told["states"], "")
+    yield f"{'index':>7} {'facets':>7}  {extent}".rstrip()
+    for one in told["sets"]:
+        shown = " to ".join(f"{v:.6g}" for v in np.atleast_1d(one.get(extent, [])))
+        yield f"{one['index']:>7} {one['facets']:>7}  {shown}".rstrip()
+    start = told["start"]
+    where = f"index {start['index']}" if "index" in start else start["outside"]
+    if "outside" in start:
+        where += "; start nearer to the origin, or enlarge control.horizon"
+    yield f"initial state {start['state']}: {where}"
+
+
+def _terminal(t: Terminal) -> str:
+    if t.method == "rakovic":
+        return (
+            f"T_0: Rakovic's approximation of order {t.order}, contraction {t.alpha:.3g}, "
+            f"within {t.bound:.3g} of the minimal invariant set"
+        )
+    kinds = {
+        "interval": "the minimal invariant interval",
+        "modal": f"parallelepiped in the modes of A + B K, radius {t.bound:.3g}",
+        "invariant": f"the largest set that any control keeps, radius {t.bound:.3g}",
+    }
+    return f"T_0: {kinds.get(t.method, t.method)}"
+
+
+def _of_safety(scenario: Scenario, told: dict[str, Any], missed: Interval | None) -> Iterator[str]:
+    steps = told["dead_link_steps"]
+    lasts = "the plant stays inside T_N for ever"
+    if steps is not None:
+        lasts = (
+            f"every state of T_0 lasts {steps} step{'' if steps == 1 else 's'}, whatever d, "
+            "before it may leave T_N"
+        )
+    yield f"dead link, fallback {told['fallback']}: {lasts}"
+    if told["control_set"] is not None:
+        yield "the sets resist control.disturbance, which is larger than the test's D_c"
+    c = scenario.defender.calibration
+    what = "W = D_c + N - A N" if told["noisy"] else "D_c"
+    if c is not None:
+        yield (
+            f"{what}: a session of {c.steps} steps leaves it "
+            f"with probability at most {c.violation:.3g}, confidence {c.confidence:g} "
+            f"({c.exceeded} of {c.sessions} fresh sessions did)"
+        )
+    if missed is not None:
+        yield (
+            f"network: {missed.scaled(100.0).text('.3g', ' %')} of steps missed, in "
+            f"{settling.RUNS} runs of {settling.STEPS} steps, seed {settling.SEED}; none in "
+            "lock-step"
+        )
+
+
+def _without_rate(told: dict[str, Any]) -> str:
+    """Why there is no settled rate."""
+    if (keyed := told["under_keys"]) is not None:
+        return (
+            f"message rate: {keyed['bits_per_second_at_most']:.3g} bit/s at most, from "
+            f"step {keyed['first_step']} on at the earliest: each symbol travels under "
+            "distilled keys, and is secret while their claim holds"
+        )
+    if told["simulated"]:
+        return "settled rate: none, the loop cannot start or leaves the sets"
+    return "settled rate: not simulated, as plant code runs in the plant alone"

@@ -2,18 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from itertools import combinations
+from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from controller_service.laws.errors import ProgramError
+from controller_service.laws.registry import make_law, synthesise
+from controller_service.sets.terminal import SynthesisError
 from protocol.agreement import INSIDE
+from protocol.arrays import Array
+from protocol.scenario import Scenario, ScenarioError, with_fields
 from protocol.statistics import Interval, share_over_runs
 from wyner.advice import rate
-
-if TYPE_CHECKING:
-    from protocol.scenario import Scenario
-    from wyner.simulate.engine import Runs
+from wyner.simulate.engine import Runs, SimulationError
 
 SOFTER: Final = (100.0, 1000.0)
 """Factors by which the inputs' weights are raised, for a softer regulator."""
@@ -32,8 +34,6 @@ OFTEN: Final = 0.5
 
 FULL: Final = 0.9
 """Agreement above which nothing is to be explained."""
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def _hundred(share: Interval) -> str:
     return share.scaled(100.0).text(".0f")
 
 
-def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
+def why(scenario: Scenario, parts: Sequence[Runs]) -> Why:
     """Count what became of the settled steps.
 
     Parameters
@@ -110,11 +110,15 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
     parts : sequence of Runs
         Those of :func:`wyner.advice.rate.long_runs`, recorded, and without missed steps.
     """
-    gauges = np.concatenate([_settled(runs.gauges) for runs in parts], axis=-1)
-    candidates = np.concatenate([_settled(runs.candidates) for runs in parts], axis=-1)
-    largest = np.concatenate([_settled(runs.largest) for runs in parts], axis=-1)
-    coin = np.concatenate([runs.coin[rate.BURN_IN :] for runs in parts], axis=-1)
-    applied = np.take_along_axis(gauges, coin[:, None].astype(np.intp), axis=1)[:, 0]
+
+    def settled(name: str) -> Array:
+        """What the steps after the burn-in were recorded with, of all runs."""
+        recorded = [getattr(runs, name)[rate.BURN_IN :] for runs in parts]
+        return np.concatenate(recorded, axis=-1)
+
+    gauges, candidates, largest = map(settled, ("gauges", "candidates", "largest"))
+    coin = settled("coin").astype(np.intp)
+    applied = np.take_along_axis(gauges, coin[:, None], axis=1)[:, 0]
     steps = len(largest)
     inside = (gauges <= INSIDE).sum(axis=1)
     held = largest <= scenario.secrecy.alpha
@@ -136,8 +140,7 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
         name: share_over_runs((int(n), steps) for n in flags.sum(axis=0))
         for name, flags in found.items()
     }
-    values = {name: share.value for name, share in shares.items()}
-    remedies = remedies_for(scenario, values)
+    remedies = remedies_for(scenario, {name: share.value for name, share in shares.items()})
     return Why(
         **shares,
         distance=float(np.median(apart)),
@@ -146,13 +149,7 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
     )
 
 
-def _settled(values: Array | None) -> Array:
-    """The steps after the burn-in."""
-    assert values is not None, "the runs were recorded"
-    return values[rate.BURN_IN :]
-
-
-def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
+def closest_predictions(scenario: Scenario, candidates: Array) -> Array:
     """Distance of the two closest predictions in D_c's gauge, shape (steps, R).
 
     Parameters
@@ -165,16 +162,13 @@ def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
     rows = H / h[:, None]
     at = np.einsum("nm,kjmr->kjnr", B, candidates)
     best = np.full((len(candidates), candidates.shape[-1]), np.inf)
-    M = candidates.shape[1]
-    for i in range(M):
-        for j in range(i):
-            far = np.einsum("hn,knr->khr", rows, at[:, i] - at[:, j]).max(axis=1)
-            back = np.einsum("hn,knr->khr", rows, at[:, j] - at[:, i]).max(axis=1)
-            best = np.minimum(best, np.maximum(far, back))
+    for i, j in combinations(range(candidates.shape[1]), 2):
+        along = np.einsum("hn,knr->khr", rows, at[:, i] - at[:, j])
+        best = np.minimum(best, np.abs(along).max(axis=1))  # there and back
     return best
 
 
-def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
+def remedies_for(scenario: Scenario, found: dict[str, float]) -> list[str]:
     """What to change, the most promising first; ``found`` are the shares of :class:`Why`.
 
     Each change of the law has been simulated, and is there because it helped.
@@ -203,7 +197,7 @@ def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
     return remedies
 
 
-def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
+def _laws(scenario: Scenario) -> Iterator[tuple[str, dict[str, Any]]]:
     """Changes of the law that may raise the rate: a line, and the fields of ``[control]``."""
     control = scenario.control
     if control.law == "paper":
@@ -212,15 +206,14 @@ def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
             "so that the candidates are one",
             {"law": "sustained"},
         )
-    regulator = control.regulator
-    for factor in SOFTER if regulator is not None else ():
-        assert regulator is not None
-        weights = [float(f"{factor * weight:.3g}") for weight in regulator.input]
-        yield (
-            f"control.regulator.input = {weights}: a softer K and a wider T_0, in which the "
-            "candidates can lie apart",
-            {"regulator": {"next_state": regulator.next_state, "input": weights}},
-        )
+    if (regulator := control.regulator) is not None:
+        for factor in SOFTER:
+            weights = [float(f"{factor * weight:.3g}") for weight in regulator.input]
+            yield (
+                f"control.regulator.input = {weights}: a softer K and a wider T_0, in which the "
+                "candidates can lie apart",
+                {"regulator": {"next_state": regulator.next_state, "input": weights}},
+            )
     if control.law != "packed":
         yield (
             'control.law = "packed", with one table [[control.costs]]: it keeps the predictions '
@@ -229,17 +222,11 @@ def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-def settled_share(scenario: "Scenario", fields: dict[str, Any]) -> float:
+def settled_share(scenario: Scenario, fields: dict[str, Any]) -> float:
     """The share of steps that could agree a key once the loop from the origin has settled.
 
     0 where these fields of ``[control]`` make no scenario, or it has no design or cannot run.
     """
-    from controller_service.laws.errors import ProgramError
-    from controller_service.laws.registry import make_law, synthesise
-    from controller_service.sets.design import SynthesisError
-    from protocol.scenario import ScenarioError, with_fields
-    from wyner.simulate.engine import SimulationError
-
     changes = {f"control.{name}": value for name, value in fields.items()}
     # Near the origin the smallest sets are enough.
     changes |= {"control.horizon": 1, "plant.initial_state": [0.0] * scenario.n}

@@ -85,6 +85,6 @@ def _draw(figure: "Figure", report: "DesignReport") -> str:
     from wyner.simulate.engine import SimulationError
 
     try:
-        return draw_design(figure, report.scenario, report.design, report.law)
+        return draw_design(figure, report.scenario, report.law.design, report.law)
     except SimulationError as error:
         raise Failure(f"--plot: {error}") from None

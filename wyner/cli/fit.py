@@ -1,30 +1,25 @@
 """``wyner fit``: a model and a D_c, from a recording or from a plant that is run for it."""
 
 import argparse
-import sys
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from runtime import options
 from runtime.errors import DONE, Failure, UsageError, writing
 from runtime.files import write_atomically
 from wyner.cli.results import add_json, show
+from wyner.fit.plan import Plan
 
 if TYPE_CHECKING:
-    from wyner.fit.fitting import Plan
-    from wyner.fit.written import FromPlant, FromRecording
+    from wyner.fit.written import Written
 
 
 RECORDED_VIOLATION: Final = 0.01
 """Share of recorded steps that may leave D_c, for its scale."""
 
-OF_A_PLANT: Final = (
-    "sessions",
-    "excite_steps",
-    "steps",
-    "seed",
-    "amplitude",
-)
-"""Options that say how a plant is run."""
+VIOLATION: Final = 0.05
+"""Share of sessions that may, where a plant is run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,17 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--inputs", metavar="NAMES", help="columns of the inputs: u or u1,u2")
     parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
     add_json(parser)
-    numbers: tuple[tuple[str, float, str], ...] = (
-        ("--sessions", 100, "sessions that scale D_c, and as many that certify it"),
-        ("--steps", 200, "steps of a session under the law"),
-        ("--excite-steps", 100, "steps of one with random inputs; few for an unstable plant"),
-        ("--seed", 1, "seed of excitation, coins and disturbance"),
-        ("--amplitude", 0.3, "of the random inputs, as a share of U"),
-    )
-    for option, default, text in numbers:
-        kind, metavar = (int, "N") if isinstance(default, int) else (float, "P")
-        parser.add_argument(option, type=kind, metavar=metavar, help=f"{text} ({default})")
-
+    options.add_arguments(parser, Plan)
     parser.add_argument(
         "--violation",
         type=float,
@@ -80,20 +65,20 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _fit_recording(args: argparse.Namespace) -> "FromRecording":
+def _fit_recording(args: argparse.Namespace) -> "Written":
     from protocol.scenario.reading import LARGEST_NUMBER
     from wyner.fit.first_scenario import HORIZONS
     from wyner.fit.identification import FitError
     from wyner.fit.recording import fit_recording, read_recording
-    from wyner.fit.written import FromRecording
+    from wyner.fit.written import from_recording
 
     if None in (args.states, args.inputs, args.period):
         raise UsageError("expected --states, --inputs and --period together")
     if not 0 < args.period <= LARGEST_NUMBER:
         raise UsageError(f"--period: got {args.period:g}, expected more than 0")
-    for name in OF_A_PLANT:
-        if getattr(args, name) is not None:
-            option = name.replace("_", "-")
+    for one in fields(Plan):
+        if getattr(args, one.name) != one.default:
+            option = one.name.replace("_", "-")
             raise UsageError(f"--{option}: is for a plant that is run, and not for a recording")
     violation = RECORDED_VIOLATION if args.violation is None else args.violation
     _check_share("violation", violation)
@@ -109,53 +94,42 @@ def _fit_recording(args: argparse.Namespace) -> "FromRecording":
     except FitError as error:
         raise UsageError(str(error)) from None
     try:
-        found = fit_recording(recording, violation=violation)
+        found = fit_recording(recording, violation)
     except FitError as error:
         raise Failure(str(error)) from None
-    return FromRecording(path, args.output, args.period, recording, found)
+    return from_recording(recording, found, path, args.output, args.period)
 
 
-def _fit_plant(args: argparse.Namespace) -> "FromPlant":
-    from controller_service.laws.base import CandidateLaw
+def _fit_plant(args: argparse.Namespace) -> "Written":
     from controller_service.laws.errors import ProgramError
-    from controller_service.laws.registry import cached_design, make_law
-    from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
-    from plant_service.adapters import Operated
-    from plant_service.adapters.registry import open_plant
-    from protocol.scenario import Scenario
+    from runtime.files import read_toml
+    from runtime.scenario_file import others_than
     from runtime.shipped import scenario_file_of
+    from wyner.fit.conformal import rank
     from wyner.fit.fitting import fit
     from wyner.fit.identification import FitError
-    from wyner.fit.written import FromPlant
+    from wyner.fit.written import from_plant
     from wyner.simulate.engine import SimulationError
 
-    plan = _plan(args)
-    path = scenario_file_of(args.scenario)
-
-    def opened(scenario: Scenario) -> Operated:
-        return open_plant(scenario, path.parent)
-
-    def law_of(scenario: Scenario) -> CandidateLaw:
-        # The same fit again, as after Ctrl-C, makes the same sets and finds them in the cache.
-        with shown_progress() as progress:
-            return make_law(scenario, cached_design(scenario, progress))
-
+    plan = options.picked(Plan, vars(args))
+    violation = VIOLATION if args.violation is None else args.violation
+    _check_share("amplitude", plan.amplitude)
+    _check_share("violation", violation)
     try:
-        found = fit(
-            _tables(path),
-            str(path),
-            opened,
-            law_of,
-            plan,
-            lambda line: print(f"wyner: {line}", file=sys.stderr),
-            path.parent,
-        )
+        rank(plan.sessions, violation)
+    except ValueError as error:
+        raise UsageError(f"--sessions: {error}") from None
+    path = scenario_file_of(args.scenario)
+    if not path.exists():
+        raise UsageError(f"{path}: no such file{others_than(str(path))}")
+    try:
+        tables, scenario = fit(read_toml(path), path, plan, violation)
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{path}: {error}") from None
     except (FitError, SimulationError) as error:
         raise Failure(str(error)) from None
-    return FromPlant(args.output, found, plan)
+    return from_plant(tables, scenario, args.output, plan.seed)
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:
@@ -163,39 +137,6 @@ def _names(option: str, text: str) -> tuple[str, ...]:
     if not all(names):
         raise UsageError(f"{option}: got {text!r}, expected names of columns, such as a,b,c")
     return names
-
-
-def _tables(path: Path) -> dict[str, Any]:
-    from runtime.files import read_toml
-    from runtime.scenario_file import others_than
-
-    if not path.exists():
-        raise UsageError(f"{path}: no such file{others_than(str(path))}")
-    return read_toml(path)
-
-
-def _plan(args: argparse.Namespace) -> "Plan":
-    """The checked numbers."""
-    from runtime.options import at_least
-    from wyner.fit.conformal import rank
-    from wyner.fit.fitting import Plan
-
-    for name in ("sessions", "excite_steps", "steps"):
-        at_least(f"--{name.replace('_', '-')}", getattr(args, name), 1)
-    own = {name: getattr(args, name, None) for name in Plan.__dataclass_fields__}
-    given = {name: value for name, value in own.items() if value is not None}
-    if args.sessions is not None:
-        few = max(1, args.sessions // 5)
-        given |= {"calibration": args.sessions, "fresh": args.sessions}
-        given |= {"pilot": few, "excite_sessions": few}
-    plan = Plan(**given)
-    for name in ("amplitude", "violation"):
-        _check_share(name, getattr(plan, name))
-    try:
-        rank(plan.calibration, plan.violation)
-    except ValueError as error:
-        raise UsageError(f"--sessions: {error}") from None
-    return plan
 
 
 def _check_share(name: str, value: float) -> None:

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
     from protocol.scenario.reading import LARGEST_NUMBER
-    from wyner.fit.first_scenario import HORIZONS, FirstScenario
+    from wyner.fit.first_scenario import HORIZONS, first_scenario
 
     given = (args.A, args.B, args.period)
     if any(v is not None for v in given) and None in given:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
                 f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST_NUMBER:g}"
             )
     path = Path(f"{args.name}.toml")
-    text, starts = FirstScenario(args.name, A, B, period, [args.input] * len(B[0])).text()
+    text, starts = first_scenario(args.name, A, B, period, [args.input] * len(B[0]))
     if path.exists():
         raise UsageError(f"{path}: is there already, expected another name")
     with writing(str(path)), path.open("x", encoding="utf-8") as file:

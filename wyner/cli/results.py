@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 from protocol.text import printable
 
 WIDTH: Final = 79
-"""Columns of a line, which is broken between words; a table's lines stay whole."""
+"""Columns of a line, which is broken between words."""
 
 
 class Result(Protocol):
@@ -24,7 +24,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
-def show(result: Result, args: argparse.Namespace, *, indent: int = 2, table: bool = False) -> None:
+def show(result: Result, args: argparse.Namespace, *, indent: int = 2) -> None:
     """Print a result; what a terminal would not show as text is spelled out.
 
     Parameters
@@ -34,14 +34,12 @@ def show(result: Result, args: argparse.Namespace, *, indent: int = 2, table: bo
         With ``json``.
     indent : int
         Columns before what does not fit into a line, on those below.
-    table : bool
-        Whether the text is a table.
     """
     if args.json:
         print(json.dumps(result.to_json()))
         return
     for line in map(printable, str(result).split("\n")):
-        print(line if table else folded(line, indent))
+        print(folded(line, indent))
 
 
 def folded(line: str, indent: int) -> str:

@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--eavesdropper: {error}") from None
     for note in found.notes:
         print(f"wyner: {note}", file=sys.stderr)
-    show(found, args, table=True)
+    show(found, args)
     if args.plot is not None and scored is not None:
         from wyner.drawing.secrecy import draw_scored
 

@@ -15,7 +15,7 @@ from runtime.services import CONTROLLER_MANAGEMENT
 from wyner.cli.options import add_run_argument, is_told, joined
 from wyner.cli.results import add_json, show
 from wyner.deployment.running import names_of
-from wyner.deployment.sending import Queued, ask
+from wyner.deployment.sending import ask, queued
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         if not reply.accepted:
             raise Failure(reply.detail)
         at = None if run is None else run.seen_from(Path.cwd())
-        show(Queued(reply, len(payload), loop, at), args)
+        show(queued(reply, len(payload), loop, at), args)
         return DONE
     if run is not None:
         where = printable(run.seen_from(Path.cwd()))

@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         new=len(results.rows) - before,
         points=summaries,
     )
-    show(found, args, table=True)
+    show(found, args)
     for line in failures:
         print(f"wyner: {line}", file=sys.stderr)
     if args.plot is not None and results.rows:

@@ -36,7 +36,7 @@ class Ending(Enum):
     INTERRUPTED = "interrupted"
 
 
-class Watch:
+class LiveScreen:
     """The live screen's state: the state that grows, the one that is shown, and the view.
 
     It touches neither terminal nor clock, so a test can press keys and look at what is drawn.
@@ -140,7 +140,7 @@ def run_dashboard(
         before, whatever happened; what was written to standard error meanwhile is repeated there.
     """
     console = Console(force_terminal=True, highlight=False)
-    watch = Watch(story=story, title=title)
+    watch = LiveScreen(story=story, title=title)
     over = False
     ending = Ending.FINISHED
     try:

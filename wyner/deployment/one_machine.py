@@ -24,6 +24,7 @@ from runtime.run_folder import (
     VIEW,
 )
 from runtime.scenario_file import scenario_of
+from runtime.services import SERVICES, Service
 from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
 from wyner.deployment.supervisor import Child, Supervisor
@@ -54,6 +55,9 @@ class RunOptions(MessageOptions):
         "seed of all random numbers, for experiments: nothing is secret then", "N", least=0
     )
 
+
+ATTACKER: Final = Service("attacker", package="attacker_service")
+"""Who stands between the ends where an attack is on the bus; no service that anybody starts."""
 
 KEYED_COIN: Final = """
 [defence]                        # of --attack, where keys are made
@@ -167,17 +171,17 @@ def _processes(
     ]
     logs = {name: run_dir / name / "log" for name in ("plant", "controller", "tap", "attacker")}
     children = [
-        Child("plant", plant, logs["plant"], trace=run_dir / PLANT_TRACE),
-        Child("controller", controller, logs["controller"], trace=run_dir / CONTROLLER_TRACE),
-        Child("tap", tap, logs["tap"]),
+        Child(SERVICES["plant"], plant, logs["plant"], run_dir / PLANT_TRACE),
+        Child(SERVICES["controller"], controller, logs["controller"], run_dir / CONTROLLER_TRACE),
+        Child(SERVICES["tap"], tap, logs["tap"]),
     ]
     if on_bus:
         plant.append(f"--connect=field={plant_side}")
         relay = [*seeded, *system, *said(attack=options.attack)]
         relay += said(plant_side=plant_side, controller_side=controller_side)
-        children.append(Child("attacker", relay, logs["attacker"], package="attacker_service"))
+        children.append(Child(ATTACKER, relay, logs["attacker"]))
     return (
-        Supervisor(children, first="tap", first_endpoint=tap_field),
+        Supervisor(children, tap_field),
         RunningLoop(
             run_dir=str(run_dir.absolute()),
             scenario=name,

@@ -82,30 +82,21 @@ def notes_folder() -> Path:
 
 @contextmanager
 def announced(loop: RunningLoop) -> Iterator[None]:
-    """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
+    """Keep a note of a running loop; where none can be kept, the loop runs all the same.
+
+    The note is whole and locked before it has the name by which others find it. Processes of two
+    containers that share the folder may have one number, so it is none's name.
+    """
     with ExitStack() as kept:
         with suppress(OSError):
-            kept.enter_context(_note_of(loop))
+            path = notes_folder() / f"{secrets.token_hex(8)}.json"
+            note = kept.enter_context(path.with_suffix(".new").open("x"))
+            fcntl.flock(note, fcntl.LOCK_EX)
+            json.dump(asdict(loop), note)
+            note.flush()
+            kept.callback(path.unlink, missing_ok=True)
+            Path(note.name).rename(path)
         yield
-
-
-@contextmanager
-def _note_of(loop: RunningLoop) -> Iterator[None]:
-    """A note that is whole and locked before it has the name by which others find it.
-
-    Processes of two containers that share the folder may have one number, so it is none's name.
-    """
-    path = notes_folder() / f"{secrets.token_hex(8)}.json"
-    with path.with_suffix(".new").open("x") as note:
-        fcntl.flock(note, fcntl.LOCK_EX)
-        json.dump(asdict(loop), note)
-        note.flush()
-        Path(note.name).rename(path)
-        try:
-            yield
-        finally:
-            with suppress(OSError):
-                path.unlink()
 
 
 def running_loops() -> list[RunningLoop]:

@@ -3,14 +3,14 @@
 import math
 import queue
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
 
 from protocol.messages import SendCommand, SendReply
 from protocol.topics import key_of
 from runtime.inbox import Inbox
+from wyner.findings import Findings
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
@@ -19,9 +19,8 @@ REPEAT_S: Final = 0.1
 """Seconds after which a command that was not answered is published again."""
 
 
-@dataclass(frozen=True)
-class Queued:
-    """A message that a controller has queued.
+def queued(reply: SendReply, size: int, loop: str, run: str | None) -> Findings:
+    """What is said of a message that a controller has queued.
 
     Parameters
     ----------
@@ -32,24 +31,11 @@ class Queued:
     run : str, optional
         The run's folder; None where the loop was named by its endpoints.
     """
-
-    reply: SendReply
-    size: int
-    loop: str
-    run: str | None
-
-    def to_json(self) -> dict[str, Any]:
-        """Its id, its place in the queue, and whose queue it is."""
-        id, queued = self.reply.id, self.reply.queued
-        return {"id": id, "bytes": self.size, "queued": queued, "loop": self.loop, "run": self.run}
-
-    def __str__(self) -> str:
-        """One line."""
-        where = f"loop {self.loop}" if self.run is None else f"run {self.run}, loop {self.loop}"
-        return (
-            f"queued as {self.reply.id} at {where}: {self.size} bytes, {self.reply.queued} not "
-            "delivered yet"
-        )
+    id, waiting = reply.id, reply.queued
+    where = f"loop {loop}" if run is None else f"run {run}, loop {loop}"
+    line = f"queued as {id} at {where}: {size} bytes, {waiting} not delivered yet"
+    told = {"id": id, "bytes": size, "queued": waiting, "loop": loop, "run": run}
+    return Findings(told, [line])
 
 
 def ask(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:

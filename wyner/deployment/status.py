@@ -4,12 +4,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from protocol.messages import ControllerStatus, PlantStatus
+from protocol.messages import ControllerStatus, PlantStatus, Status
 from protocol.messages.adversary import deaf_share
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED, PROVED
@@ -19,73 +19,32 @@ from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
+from wyner.findings import Findings
 from wyner.runs.run import Run, RunError
-from wyner.runs.score.report import unused_in_words
+from wyner.runs.score.words import unused_in_words
 
 OLD_S: Final = 5.0
 """A report older than this is of a service that is frozen or gone: it writes one each second (the
 tap each two)."""
 
 
-@dataclass(frozen=True)
-class RunStatus:
-    """The last statuses of one run.
+S = TypeVar("S", bound=Status)
+
+
+@dataclass(frozen=True, eq=False)
+class Reported(Findings):
+    """What the services of a run, or of each loop of a fleet, last said of themselves.
 
     Parameters
     ----------
-    written : dict of str to dict
-        Of each service that writes into the folder its status, by name.
-    claim : str
-        The claim under which the run's keys are secret; empty where it makes none.
-    distance : float
-        Bound on how far all blocks begun are from perfect keys together.
-    lines, warnings : tuple of str
+    warnings : list of str
+        Its last lines.
     """
 
-    written: dict[str, dict[str, Any]]
-    claim: str
-    distance: float
-    lines: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """The statuses as they were written, and the warnings."""
-        return {
-            **self.written,
-            "claim": self.claim,
-            "distance": self.distance,
-            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
-            "warnings": list(self.warnings),
-        }
-
-    def __str__(self) -> str:
-        """One line for each topic, then one for each warning."""
-        return "\n".join([*self.lines, *(f"warning: {text}" for text in self.warnings)])
+    warnings: list[str]
 
 
-@dataclass(frozen=True)
-class FleetStatus:
-    """The last statuses of all loops of a fleet, by name."""
-
-    loops: dict[str, RunStatus]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The warnings of all loops, each behind the loop's name."""
-        return tuple(f"{name}: {w}" for name, one in self.loops.items() for w in one.warnings)
-
-    def to_json(self) -> dict[str, Any]:
-        """Every loop's status."""
-        return {"loops": {name: one.to_json() for name, one in self.loops.items()}}
-
-    def __str__(self) -> str:
-        """How many loops are well, and each warning."""
-        well = sum(not one.warnings for one in self.loops.values())
-        lines = [f"{well} of {len(self.loops)} loops without a warning"]
-        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
-
-
-def status_of(run_dir: Path) -> RunStatus | FleetStatus:
+def status_of(run_dir: Path) -> Reported:
     """Read the statuses below a run's folder, or below that of a fleet.
 
     Raises
@@ -93,25 +52,23 @@ def status_of(run_dir: Path) -> RunStatus | FleetStatus:
     UsageError
         When there is none, or one cannot be read.
     """
-    if loops := loops_below(run_dir):
-        return FleetStatus({folder.name: _status_of(folder) for folder in loops})
-    return _status_of(run_dir)
+    loops = {folder.name: _of_run(folder) for folder in loops_below(run_dir)}
+    if not loops:
+        return _of_run(run_dir)
+    warnings = [f"{name}: {text}" for name, one in loops.items() for text in one.warnings]
+    well = sum(not one.warnings for one in loops.values())
+    lines = [f"{well} of {len(loops)} loops without a warning", *map(_warned, warnings)]
+    return Reported({"loops": {n: one.figures for n, one in loops.items()}}, lines, warnings)
 
 
-def _status_of(run_dir: Path) -> RunStatus:
+def _of_run(run_dir: Path) -> Reported:
     paths = {name: run_dir / name / "status.json" for name, row in SERVICES.items() if row.reports}
     written = {name: _written(path) for name, path in paths.items() if path.exists()}
     if not written:
         expected = f"expected a run's folder, with {PLANT_STATUS} or {CONTROLLER_STATUS}"
         raise UsageError(f"{run_dir}: no service has reported there; {expected}")
-    plant = controller = None
-    try:
-        if "plant" in written:
-            plant = read_status(paths["plant"], PlantStatus)
-        if "controller" in written:
-            controller = read_status(paths["controller"], ControllerStatus)
-    except ValidationError as error:
-        raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
+    plant = _end(run_dir / PLANT_STATUS, PlantStatus)
+    controller = _end(run_dir / CONTROLLER_STATUS, ControllerStatus)
     claim, of_one = _claim(run_dir)
     distance = 0.0 if plant is None else of_one * plant.keys.begun
     lines: list[str] = []
@@ -123,14 +80,33 @@ def _status_of(run_dir: Path) -> RunStatus:
         warnings += _warnings_of_plant(plant)
     if controller is not None:
         lines += _of_controller(controller)
-        warnings += _warnings_of_controller(controller)
-        stopped = controller.keys.stopped
-        if stopped and (plant is None or not plant.keys.stopped):
-            warnings.append(f"keys stopped at the controller: {stopped}")
+        warnings += _warnings_of_controller(controller, plant)
     others = [name for name in written if name not in ("plant", "controller")]
     lines += [f"{name:<12}{written[name].get('health', 'reports')}" for name in others]
     warnings += _warnings_of_taps(run_dir)
-    return RunStatus(written, claim, distance, tuple(lines), tuple(warnings))
+    figures = {
+        **written,
+        "claim": claim,
+        "distance": distance,
+        "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
+        "warnings": warnings,
+    }
+    return Reported(figures, [*lines, *map(_warned, warnings)], warnings)
+
+
+def _warned(text: str) -> str:
+    return f"warning: {text}"
+
+
+def _end(path: Path, kind: type[S]) -> S | None:
+    """An end's status; None where it has written none."""
+    if not path.exists():
+        return None
+    try:
+        return read_status(path, kind)
+    except ValidationError as error:
+        wrong = f"{error.error_count()} fields of a status are wrong"
+        raise UsageError(f"{path}: {wrong}") from None
 
 
 def _written(path: Path) -> dict[str, Any]:
@@ -211,35 +187,41 @@ def _warnings_of_plant(plant: PlantStatus) -> Iterator[str]:
         yield f"keys: {keys.refused}"
 
 
-def _warnings_of_controller(controller: ControllerStatus) -> Iterator[str]:
+def _warnings_of_controller(
+    controller: ControllerStatus, plant: PlantStatus | None
+) -> Iterator[str]:
     if alarms := controller.alarms.sentence():
         yield alarms
     if controller.step.unexplained:
         yield f"{controller.step.unexplained} transitions that no candidate explains"
+    stopped = controller.keys.stopped
+    if stopped and (plant is None or not plant.keys.stopped):
+        yield f"keys stopped at the controller: {stopped}"
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
-    """The eavesdroppers that failed or could not use what they heard, and refuted claims."""
+    """What is wrong with the eavesdroppers; nothing where there is no tap."""
     try:
         told = Run.load(run_dir).beliefs()
-        found = [
-            f"eavesdropper {name} failed: {one['failed']}"
-            for name, one in told.items()
-            if one.get("failed")
-        ]
-        found += [
-            f"eavesdropper {name}: not used of what the tap heard: {unused_in_words(one['unused'])}"
-            for name, one in told.items()
-            if "unused" in one and deaf_share(one["unused"], one["steps"])
-        ]
-        keys = [one["keys"] for one in told.values() if one.get("keys")]
-        found += [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
-        found += [
-            f"the tap misses {k['at_most']:.2g} of the {k['direction']} at most: "
-            "the operator's claim is refuted"
-            for k in keys
-            if k["refuted"]
-        ]
-        return found + ["the tap's misses come in bursts" for k in keys if k["bursts"]]
+        return [text for name, one in told.items() for text in _warnings_of_tap(name, one)]
     except (RunError, OSError, ValueError, LookupError, TypeError, AttributeError):
-        return []  # no tap here
+        return []
+
+
+def _warnings_of_tap(name: str, told: dict[str, Any]) -> Iterator[str]:
+    """Whether it failed or could not use what it heard, and what of the claim it refutes."""
+    if told.get("failed"):
+        yield f"eavesdropper {name} failed: {told['failed']}"
+    if "unused" in told and deaf_share(told["unused"], told["steps"]):
+        unused = unused_in_words(told["unused"])
+        yield f"eavesdropper {name}: not used of what the tap heard: {unused}"
+    keys = told.get("keys")
+    if not keys:
+        return
+    if keys["bits"]:
+        yield f"the tap holds {keys['bits']} bits of keys"
+    if keys["refuted"]:
+        share = f"{keys['at_most']:.2g} of the {keys['direction']}"
+        yield f"the tap misses {share} at most: the operator's claim is refuted"
+    if keys["bursts"]:
+        yield "the tap's misses come in bursts"

@@ -13,7 +13,7 @@ from typing import Final
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 from runtime.recording import ended
-from runtime.services import SERVICES
+from runtime.services import Service
 from runtime.signals import STOP_WITH_STDIN
 from wyner.deployment.running import listens
 
@@ -26,11 +26,8 @@ RESTART_S: Final = 0.2
 RESTARTS: Final = 20
 """A service that was killed more often than this in one run stays down."""
 
-STOP_S: Final = 5.0
-"""Seconds that one which is no service has to stop by itself."""
-
 START_S: Final = 60.0
-"""Seconds that the first service has to come up, as long as it lives: a machine may be busy."""
+"""Seconds that the tap has to come up, as long as it lives: a machine may be busy."""
 
 
 @dataclass
@@ -39,22 +36,18 @@ class Child:
 
     Parameters
     ----------
-    name : str
-        A service of the registry, or what is called so here.
+    service : Service
     arguments : list of str
         After ``python -m PACKAGE``.
     log : Path
         Where its output goes, appended.
-    package : str
-        What ``python -m`` runs; the service's own where empty.
     trace : Path, optional
         What it ends with an end mark where it comes to its end by itself.
     """
 
-    name: str
+    service: Service
     arguments: list[str]
     log: Path
-    package: str = ""
     trace: Path | None = None
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
@@ -62,6 +55,11 @@ class Child:
     returned: int | None = None
     alone: bool = False
     """Whether all that the process had started is gone with it."""
+
+    @property
+    def name(self) -> str:
+        """The service's."""
+        return self.service.name
 
     def start(self) -> None:
         """Start the process, in a process group of its own: Ctrl-C reaches the parent only.
@@ -71,11 +69,10 @@ class Child:
         """
         make_folder(self.log.parent)
         self.alone = False
-        package = self.package or SERVICES[self.name].package
         log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", package, *self.arguments],
+                [sys.executable, "-m", self.service.package, *self.arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -114,7 +111,7 @@ class Child:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(STOP_S if self.package else SERVICES[self.name].stop_s)
+                self.process.wait(self.service.stop_s)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
@@ -165,13 +162,12 @@ class Child:
 class Supervisor:
     """The children of one run, in the order in which they are stopped.
 
-    ``first`` is started before the others and listens at ``first_endpoint``: the tap, which then
-    hears the very first message.
+    The tap is started before the others and listens at ``tap_field``: it then hears the very first
+    message.
     """
 
     children: list[Child]
-    first: str
-    first_endpoint: str
+    tap_field: str
 
     def start(self) -> None:
         """Start them all.
@@ -179,18 +175,18 @@ class Supervisor:
         Raises
         ------
         Failure
-            When the first one does not come up.
+            When the tap does not come up.
         """
-        first = self.child(self.first)
-        first.start()
+        tap = self.child("tap")
+        tap.start()
         until = time.monotonic() + START_S
-        while not listens(self.first_endpoint):
+        while not listens(self.tap_field):
             self.poll()
             if time.monotonic() > until:
-                raise Failure(f"{first.name}: not up after {START_S:g} s (log: {first.log})")
+                raise Failure(f"tap: not up after {START_S:g} s (log: {tap.log})")
             time.sleep(0.02)
         for child in self.children:
-            if child is not first:
+            if child is not tap:
                 child.start()
 
     def child(self, name: str) -> Child:

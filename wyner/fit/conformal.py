@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from protocol.arrays import Array
 from protocol.statistics import clopper_pearson
@@ -21,27 +20,16 @@ CONFIDENCE: Final = 0.999
 """Of what is said of D_c."""
 
 
-def template(residuals: ArrayLike) -> Array:
+def template(residuals: Array) -> Array:
     """Half-widths of the smallest box about all residuals, shape (n,).
 
     Parameters
     ----------
-    residuals : array, shape (T, n)
+    residuals : array, shape (..., n)
         Of a pilot run under the law that will be used.
     """
-    out: Array = np.abs(np.asarray(residuals, dtype=float)).max(axis=0)
+    out: Array = np.abs(residuals).reshape(-1, residuals.shape[-1]).max(axis=0)
     return out
-
-
-def session_score(residuals: ArrayLike, half_widths: ArrayLike) -> float:
-    """The largest gauge of a session's residuals, in the box of these half-widths.
-
-    Parameters
-    ----------
-    residuals : array, shape (steps, n)
-    half_widths : array, shape (n,)
-    """
-    return float((np.abs(np.asarray(residuals)) / np.asarray(half_widths)).max())
 
 
 def rank(sessions: int, violation: float) -> int:
@@ -71,17 +59,10 @@ def conformal_scale(scores: Sequence[float], violation: float) -> float:
     return sorted(scores)[rank(len(scores), violation) - 1]
 
 
-def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
+def violation_bound(sessions: int, exceeded: int) -> float:
     """Upper bound of the probability that a session leaves D_c, after ``exceeded`` of N did.
 
-    That of Clopper and Pearson, one-sided. With none exceeded it is 1 - (1 - confidence)^(1 / N).
-
-    Parameters
-    ----------
-    sessions, exceeded : int
-    confidence : float
-        Strictly between 0 and 1.
+    That of Clopper and Pearson, one-sided, which holds with :data:`CONFIDENCE`. With none exceeded
+    it is 1 - (1 - CONFIDENCE)^(1 / N).
     """
-    if not 0 <= exceeded <= sessions or sessions < 1:
-        raise ValueError(f"got {exceeded} of {sessions} sessions, expected 0 to all of at least 1")
-    return clopper_pearson(exceeded, sessions, 1 - confidence)[1]
+    return clopper_pearson(exceeded, sessions, 1 - CONFIDENCE)[1]

@@ -2,8 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -42,9 +41,16 @@ WIDER: Final = 1.2
 """D_c over D, the ratio of the paper's example."""
 
 
-@dataclass(frozen=True, slots=True)
-class FirstScenario:
-    """What is known of a plant for which a scenario file is to be written.
+def first_scenario(
+    name: str,
+    A: Matrix,
+    B: Matrix,
+    period_s: float,
+    bounds: Sequence[float],
+    widths: Sequence[float] | None = None,
+    origin: str = "",
+) -> tuple[str, bool]:
+    """The text of a scenario's file, and whether there is a terminal set for it.
 
     Parameters
     ----------
@@ -56,65 +62,50 @@ class FirstScenario:
     widths : sequence of float, optional
         Half-widths of D by state. Where none are given, the widest that have a terminal set.
     origin : str, optional
-        A line of comment that says where A, B and D come from.
+        Lines of comment that say where A, B and D come from.
     """
+    pushes = pushed(A, B, bounds)
+    weights = state_weights(pushes)
 
-    name: str
-    A: Matrix
-    B: Matrix
-    period_s: float
-    bounds: Sequence[float]
-    widths: Sequence[float] | None = None
-    origin: str = ""
-
-    def text(self) -> tuple[str, bool]:
-        """The file's text, and whether there is a terminal set for it.
-
-        First a regulator's weights are tried for each width of D; then, for the widest D that has
-        one, a gain.
-        """
-        pushes = pushed(self.A, self.B, self.bounds)
-        weights = state_weights(pushes)
-
-        def written(widths: Sequence[float], gain: str) -> str:
-            return self._written(widths, weights, gain)
-
-        def regulator(weight: float) -> str:
-            inputs = [weight / bound**2 for bound in self.bounds]
-            return BY_WEIGHTS.format(next_state=_list(weights), input=_list(inputs))
-
-        all_widths = [self.widths] if self.widths is not None else list(widths_of(pushes))
-        first = written(all_widths[0], regulator(WEIGHTS[0]))
-        for widths in all_widths:
-            for weight in WEIGHTS:
-                text = written(widths, regulator(weight))
-                if _starts(text):
-                    return text, True
-        for widths in all_widths:
-            found = find_gain(_parsed(written(widths, regulator(1.0))), shares=(1.0,))
-            if found is not None:
-                text = written(widths, BY_GAIN.format(gain=found.written(), decay=found.decay))
-                if _starts(text):
-                    return text, True
-        return first, False
-
-    def _written(self, widths: Sequence[float], weights: Sequence[float], gain: str) -> str:
+    def written(D: Sequence[float], gain: str) -> str:
         """The file, each field with a line that says why."""
-        values: dict[str, Any] = {
-            "name": self.name,
-            "origin": "".join(f"# {line}\n" for line in self.origin.splitlines()),
-            "A": _rows(self.A),
-            "B": _rows(self.B),
-            "period_s": f"{self.period_s:g}",
-            "start": _list([0.0] * len(self.A)),
-            "D": _list(widths),
-            "D_c": _list([WIDER * w for w in widths]),
-            "weights": _list(weights),
-            "horizon": HORIZONS[len(self.A), len(self.bounds)],
-            "gain": gain,
-            "U": _list(self.bounds),
-        }
-        return TEMPLATE.format(**values)
+        return TEMPLATE.format(
+            name=name,
+            origin="".join(f"# {line}\n" for line in origin.splitlines()),
+            A=A,
+            B=B,
+            period_s=f"{period_s:g}",
+            start=[0.0] * len(A),
+            D=_list(D),
+            D_c=_list([WIDER * w for w in D]),
+            weights=_list(weights),
+            horizon=HORIZONS[len(A), len(bounds)],
+            gain=gain,
+            U=_list(bounds),
+        )
+
+    def regulated(D: Sequence[float], weight: float) -> str:
+        inputs = [weight / bound**2 for bound in bounds]
+        gain = BY_WEIGHTS.format(next_state=_list(weights), input=_list(inputs))
+        return written(D, gain)
+
+    def candidates() -> Iterator[str]:
+        """First a regulator's weights, for each width of D; then a gain, for the widest D."""
+        for D in tried:
+            for weight in WEIGHTS:
+                yield regulated(D, weight)
+        for D in tried:
+            found = find_gain(_parsed(regulated(D, WEIGHTS[0])), shares=(1.0,))
+            if found is not None:
+                yield written(D, BY_GAIN.format(gain=found.written(), decay=found.decay))
+
+    tried = [widths] if widths is not None else list(widths_of(pushes))
+    first = ""
+    for text in candidates():
+        first = first or text
+        if _starts(text):
+            return text, True
+    return first, False
 
 
 def pushed(A: Matrix, B: Matrix, bounds: Sequence[float]) -> Array:
@@ -163,13 +154,7 @@ def _parsed(text: str) -> Scenario:
 
 
 def _list(values: Sequence[float]) -> str:
-    return "[" + ", ".join(f"{float(f'{v:.6g}')!r}" for v in values) + "]"
-
-
-def _rows(matrix: Matrix) -> str:
-    return (
-        "[" + ", ".join("[" + ", ".join(repr(float(v)) for v in row) + "]" for row in matrix) + "]"
-    )
+    return str([float(f"{v:.6g}") for v in values])
 
 
 BY_WEIGHTS: Final = """\

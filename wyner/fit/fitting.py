@@ -8,39 +8,24 @@ certified, and D_c is what N leaves of it: larger than the disturbance where N i
 and too small where N is taken too large.
 """
 
+import sys
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from controller_service.sets.design import SynthesisError
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet, NoiseSet, Scenario, ScenarioError, parse_scenario
 from protocol.scenario.noise import widened
 from runtime.progress import duration
-from wyner.fit.conformal import (
-    CONFIDENCE,
-    conformal_scale,
-    session_score,
-    template,
-    violation_bound,
-)
-from wyner.fit.identification import (
-    ROUNDED,
-    FitError,
-    FittedModel,
-    identify,
-    inputs_without_effect,
-)
-from wyner.fit.sessions import OpenPlant, Transitions, excite, residuals_under
-from wyner.simulate.engine import Law
+from wyner.fit.conformal import CONFIDENCE, conformal_scale, template, violation_bound
+from wyner.fit.identification import ROUNDED, FitError, identify
+from wyner.fit.plan import Plan
+from wyner.fit.sessions import excite, residuals, residuals_under
 
 Tables = dict[str, Any]
-MakeLaw = Callable[[Scenario], Law]
-Tell = Callable[[str], None]
 
 ROUNDS: Final = 8
 """Times that D_c is scaled under its own law before the fit gives up."""
@@ -60,88 +45,27 @@ SMALLEST: Final = 1e-9
 """Share of the largest half-width that every half-width has, for a plant without noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How many sessions a fit takes.
-
-    Parameters
-    ----------
-    excite_sessions, excite_steps : int
-    amplitude : float
-        Of the excitation, as a share of U.
-    pilot : int
-        Sessions that give the box its shape.
-    calibration : int
-        Sessions that scale it.
-    violation : float
-        The share of sessions that may leave it, for the calibration.
-    fresh : int
-        Sessions that certify it.
-    steps : int
-        Of a session under the law.
-    seed : int
-    """
-
-    excite_sessions: int = 20
-    excite_steps: int = 100
-    amplitude: float = 0.3
-    pilot: int = 20
-    calibration: int = 100
-    violation: float = 0.05
-    fresh: int = 100
-    steps: int = 200
-    seed: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """What a fit came to.
-
-    Parameters
-    ----------
-    tables : dict
-        The scenario with its model, its D_c and its certificate, as TOML has it.
-    scenario : Scenario
-    model : Model or None
-        None where the file states A and B.
-    rounds : int
-        Times that D_c was scaled.
-    exceeded : int
-        Fresh sessions that left it.
-    """
-
-    tables: Tables
-    scenario: Scenario
-    model: FittedModel | None
-    rounds: int
-    exceeded: int
-
-
 def fit(
-    tables: Mapping[str, Any],
-    source: str,
-    open_plant: OpenPlant,
-    make_law: MakeLaw,
-    plan: Plan,
-    tell: Tell = lambda _: None,
-    folder: Path = Path(),
-) -> Fit:
-    """Fit a scenario to its plant.
+    tables: Mapping[str, Any], path: Path, plan: Plan, violation: float
+) -> tuple[Tables, Scenario]:
+    """Fit a scenario to its plant; standard error has a line on each stage.
 
     Parameters
     ----------
     tables : mapping
         As TOML has them; ``defender.A``, ``defender.B`` and ``defender.disturbance`` may be
         missing. A and B that are there are kept.
-    source : str
-        Stands first in each line of an error.
-    open_plant, make_law : callable
-        Of a scenario: the plant, and the law on its design.
+    path : Path
+        Their file: it stands first in each line of an error, and the files that the scenario names
+        are looked for in its folder.
     plan : Plan
-    tell : callable
-        Takes a line on each stage.
-    folder : Path
-        Where the files that the scenario names are looked for.
+    violation : float
+        The share of sessions that may leave D_c, for its scale.
+
+    Returns
+    -------
+    dict, Scenario
+        The tables with model, D_c and certificate, and what they state.
 
     Raises
     ------
@@ -152,99 +76,112 @@ def fit(
     SynthesisError
         When there are no sets for what was found.
     """
-    blank = _blank(tables, source)
-    found = None
-    defender = dict(tables.get("defender", {}))
+    folder = path.parent
+    blank = _blank(tables, str(path))
+    x, u = _excited(blank, folder, plan)
+    defender = {**tables.get("defender", {})}
     defender.pop("calibration", None)
-    N = blank.defender.noise
+    if not {"A", "B"} <= defender.keys():
+        defender |= _identified(x, u, noisy=blank.defender.noise is not None)
+    A, B = np.array(defender["A"]), np.array(defender["B"])
+    noise = _of_noise(blank.defender.noise, A)
+
+    def stated(widths: Array) -> Scenario:
+        """The scenario whose D_c is what the noise leaves of these half-widths."""
+        defender["disturbance"] = {"half_widths": (widths - noise).tolist()}
+        return parse_scenario(_with(tables, defender), str(path))
+
+    errors = residuals(x, u, A, B)
+    _check_disturbed(template(errors), x)
+    pilot = stated(_box(template(errors) * 1.1, noise))
+    shape = template(residuals_under(pilot, folder, plan, range(plan.few)))
+    widths = _box(shape * SPARE, noise)
+    sessions = range(plan.few)
+    for number in range(1, ROUNDS + 1):
+        scenario = stated(widths)
+        sessions = _next(sessions, plan)
+        scores = _scores(residuals_under(scenario, folder, plan, sessions), widths)
+        scale = conformal_scale(scores.tolist(), violation)
+        _tell(f"round {number}: scale {scale:.4f} of half-widths {widths.round(6).tolist()}")
+        as_small_as_may_be = (_box(widths * scale, noise) > widths * scale).all()
+        if scale <= 1 and (scale >= TIGHT or as_small_as_may_be):
+            break
+        widths = _box(widths * scale * SPARE, noise)
+    else:
+        raise FitError(
+            f"D_c does not come to rest in {ROUNDS} rounds (last scale {scale:.3g}): the law "
+            "drives the plant to where the model is worse; fit a smaller range or more weight "
+            "on the inputs"
+        )
+    _tell("frozen; fresh sessions under this law")
+    fresh = residuals_under(scenario, folder, plan, _next(sessions, plan))
+    exceeded = int((_scores(fresh, widths) > 1 + 1e-9).sum())
+    defender["calibration"] = {
+        "sessions": plan.sessions,
+        "steps": plan.steps,
+        "exceeded": exceeded,
+        "violation": violation_bound(plan.sessions, exceeded),
+        "confidence": CONFIDENCE,
+        "law_fingerprint": scenario.law_fingerprint(),
+    }
+    return _with(tables, defender), stated(widths)
+
+
+def _tell(line: str) -> None:
+    print(f"wyner: {line}", file=sys.stderr)
+
+
+def _excited(blank: Scenario, folder: Path, plan: Plan) -> tuple[Array, Array]:
+    """Readings and inputs of excited sessions; they tell how long the others will take."""
     began = time.monotonic()
-    seen = excite(
-        blank,
-        open_plant,
-        sessions=plan.excite_sessions,
-        steps=plan.excite_steps,
-        amplitude=plan.amplitude,
-        seed=plan.seed,
-    )
-    pace = (time.monotonic() - began) / (plan.excite_sessions * plan.excite_steps)
-    follow = plan.pilot + plan.calibration + plan.fresh
-    tell(
+    x, u = excite(blank, folder, plan)
+    pace = (time.monotonic() - began) / (plan.few * plan.excite_steps)
+    follow = plan.few + 2 * plan.sessions
+    _tell(
         f"{follow} sessions or more of {plan.steps} steps follow, about "
         f"{duration(follow * plan.steps * pace)}"
     )
-    if "A" in defender and "B" in defender:
-        errors = seen.x_next - seen.x @ np.array(blank.A).T - seen.u @ np.array(blank.B).T
+    return x, u
+
+
+def _identified(x: Array, u: Array, *, noisy: bool) -> Tables:
+    """A and B; where readings are noisy by the readings before, of all steps that have one."""
+    if noisy and u.shape[1] > 1:
+        found = identify(x[:, 1:-1], u[:, 1:], x[:, 2:], x[:, :-2])
     else:
-        found = _identified(seen, noisy=N is not None)
-        for j in inputs_without_effect(found, seen.x, seen.u):
-            raise FitError(
-                f"input u_{j + 1} has no effect: B's column is within its error (the largest entry "
-                f"is {float(np.abs(found.B[:, j]).max()):.2g}); connect it, leave it out of "
-                "control.inputs, or excite the plant with a larger --amplitude"
-            )
-        errors = seen.x_next - seen.x @ found.A.T - seen.u @ found.B.T
-        defender |= {"A": found.A.tolist(), "B": found.B.tolist()}
-        tell(f"identified A and B from {len(seen.x)} steps, condition {found.condition:.3g}")
-    if (template(errors) <= ROUNDED * np.sqrt((seen.x_next**2).mean(axis=0))).all():
+        found = identify(x[:, :-1], u, x[:, 1:])
+    if found.dead:
+        j = found.dead[0]
         raise FitError(
-            "the plant shows no disturbance: the model leaves nothing but rounding (residuals up "
-            f"to {float(template(errors).max()):.1g}), and a D_c of that size is none; state "
-            "plant.disturbance, or state defender.disturbance without a fit"
+            f"input u_{j + 1} has no effect: B's column is within its error (the largest entry "
+            f"is {float(np.abs(found.B[:, j]).max()):.2g}); connect it, leave it out of "
+            "control.inputs, or excite the plant with a larger --amplitude"
         )
-    A = np.array(defender.get("A") or blank.A)
-    widths = _box(template(errors) * 1.1)
-    rounds = 0
-    first, sessions = 0, range(plan.pilot)
-    while True:
-        widths = _resting_on(N, A, widths)
-        defender["disturbance"] = {"half_widths": _without(N, A, widths).tolist()}
-        s = parse_scenario(_with(tables, defender), source)
-        try:
-            law = make_law(s)
-        except SynthesisError as error:
-            raise SynthesisError(
-                f"{error} (D_c has half-widths {[float(f'{w:.4g}') for w in widths]}: a smaller "
-                "--amplitude shows less of what the model leaves out)"
-            ) from None
-        residuals = residuals_under(
-            s, law, open_plant, runs=sessions, steps=plan.steps, seed=plan.seed, folder=folder
-        )
-        first = sessions.stop
-        sessions = range(first, first + plan.calibration)
-        if rounds == 0:
-            widths = _box(template(residuals.reshape(-1, s.n)) * SPARE)
-            rounds = 1
-            continue
-        scores = [session_score(r, widths) for r in residuals]
-        scale = conformal_scale(scores, plan.violation)
-        tell(f"round {rounds}: scale {scale:.4f} of half-widths {widths.round(6).tolist()}")
-        resting = bool((_resting_on(N, A, widths * scale) > widths * scale).all())
-        if TIGHT <= scale <= 1 or (scale <= 1 and resting):
-            break
-        if rounds == ROUNDS:
-            raise FitError(
-                f"D_c does not come to rest in {ROUNDS} rounds (last scale {scale:.3g}): the law "
-                "drives the plant to where the model is worse; fit a smaller range or more weight "
-                "on the inputs"
-            )
-        widths = widths * scale * SPARE
-        rounds += 1
-    tell("frozen; fresh sessions under this law")
-    fresh = range(sessions.start, sessions.start + plan.fresh)
-    residuals = residuals_under(
-        s, law, open_plant, runs=fresh, steps=plan.steps, seed=plan.seed, folder=folder
+    steps = u.shape[0] * u.shape[1]
+    _tell(f"identified A and B from {steps} steps, condition {found.condition:.3g}")
+    return {"A": found.A.tolist(), "B": found.B.tolist()}
+
+
+def _check_disturbed(largest: Array, x: Array) -> None:
+    """Refuse a plant whose model leaves nothing but rounding."""
+    if (largest > ROUNDED * np.sqrt((x[:, 1:] ** 2).mean(axis=(0, 1)))).any():
+        return
+    raise FitError(
+        "the plant shows no disturbance: the model leaves nothing but rounding (residuals up "
+        f"to {float(largest.max()):.1g}), and a D_c of that size is none; state "
+        "plant.disturbance, or state defender.disturbance without a fit"
     )
-    exceeded = sum(session_score(r, widths) > 1 + 1e-9 for r in residuals)
-    defender["calibration"] = {
-        "sessions": plan.fresh,
-        "steps": plan.steps,
-        "exceeded": exceeded,
-        "violation": violation_bound(plan.fresh, exceeded, CONFIDENCE),
-        "confidence": CONFIDENCE,
-        "law_fingerprint": s.law_fingerprint(),
-    }
-    out = _with(tables, defender)
-    return Fit(out, parse_scenario(out, source), found, rounds, exceeded)
+
+
+def _next(sessions: range, plan: Plan) -> range:
+    """As many sessions as scale D_c, after those."""
+    return range(sessions.stop, sessions.stop + plan.sessions)
+
+
+def _scores(left: Array, widths: Array) -> Array:
+    """The largest gauge of each session's residuals, in the box of these half-widths."""
+    out: Array = np.abs(left / widths).max(axis=(1, 2))
+    return out
 
 
 def _with(tables: Mapping[str, Any], defender: Mapping[str, Any]) -> Tables:
@@ -256,41 +193,20 @@ def _with(tables: Mapping[str, Any], defender: Mapping[str, Any]) -> Tables:
     return {**tables, "plant": plant, "defender": dict(defender)}
 
 
-def _identified(seen: Transitions, *, noisy: bool) -> FittedModel:
-    """A and B; where readings are noisy by the readings before, of all steps that have one."""
-    if not noisy or seen.steps < 2:
-        return identify(seen.x, seen.u, seen.x_next)
-    later = np.arange(len(seen.x)) % seen.steps != 0
-    before = np.roll(seen.x, 1, axis=0)[later]
-    return identify(seen.x[later], seen.u[later], seen.x_next[later], before)
-
-
 def _of_noise(N: NoiseSet | None, A: Array) -> Array:
     """What N and A N add to the half-widths of D_c, shape (n,)."""
-    nothing = np.full(len(A), 1.0)
     if N is None:
         return np.zeros(len(A))
-    D_c = ConvexSet(half_widths=tuple(nothing.tolist()))
-    wide = widened(D_c, N, tuple(map(tuple, A.tolist())))
-    added: Array = np.array(wide.half_widths) - nothing
-    return added
+    unit = ConvexSet(half_widths=(1.0,) * len(A))
+    wide = widened(unit, N, tuple(map(tuple, A.tolist())))
+    return np.array(wide.half_widths) - 1.0
 
 
-def _resting_on(N: NoiseSet | None, A: Array, widths: Array) -> Array:
-    """W, no smaller than the noise alone makes it."""
-    least = _of_noise(N, A)
-    return np.maximum(widths, least + LEAST_SHARE * widths)
-
-
-def _without(N: NoiseSet | None, A: Array, widths: Array) -> Array:
-    """D_c of W."""
-    return widths - _of_noise(N, A)
-
-
-def _box(widths: Array) -> Array:
-    """Half-widths, none of them zero."""
+def _box(widths: Array, noise: Array) -> Array:
+    """Half-widths of W: none is zero, nor as small as the noise alone makes it."""
     largest = float(widths.max())
-    return np.maximum(widths, SMALLEST * (largest or 1.0))
+    box = np.maximum(widths, SMALLEST * (largest or 1.0))
+    return np.maximum(box, noise + LEAST_SHARE * box)
 
 
 def _blank(tables: Mapping[str, Any], source: str) -> Scenario:

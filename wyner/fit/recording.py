@@ -7,7 +7,7 @@ a step leaves it.
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,14 +16,8 @@ import numpy as np
 
 from protocol.arrays import Array
 from runtime.files import read_regular
-from wyner.fit.conformal import CONFIDENCE, conformal_scale, template, violation_bound
-from wyner.fit.identification import (
-    WITHIN,
-    FitError,
-    FittedModel,
-    identify,
-    inputs_without_effect,
-)
+from wyner.fit.conformal import conformal_scale, template, violation_bound
+from wyner.fit.identification import WITHIN, FitError, FittedModel, identify
 
 PARTS: Final = (0.5, 0.75)
 """Where the recording is cut: half of it identifies, a quarter scales, a quarter is held out."""
@@ -40,28 +34,21 @@ ALIKE: Final = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Rows of a recording, in the order of time.
+    """The steps that were recorded whole, in the order of time.
 
     Parameters
     ----------
     states, inputs : tuple of str
         Names of the columns.
-    x : array, shape (T, n)
-        Not a number where a value is missing; the recording is then taken as interrupted.
-    u : array, shape (T, m)
-        The input that was applied from row t to row t + 1.
+    x, u, after : array, shapes (T, n), (T, m), (T, n)
+        A step's state, the input that was applied in it, and the state after it.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     x: Array
     u: Array
-
-    def transitions(self) -> tuple[Array, Array, Array]:
-        """x, u and the next x of each step that was recorded whole."""
-        whole = np.isfinite(self.x[:-1]).all(axis=1) & np.isfinite(self.x[1:]).all(axis=1)
-        whole &= np.isfinite(self.u[:-1]).all(axis=1)
-        return self.x[:-1][whole], self.u[:-1][whole], self.x[1:][whole]
+    after: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,47 +60,23 @@ class RecordedFit:
     model : FittedModel
     half_widths : array, shape (n,)
         D_c, a box.
-    steps : tuple of int
-        Steps that identified, scaled, and were held out.
+    steps : dict of str to int
+        Steps that were ``identified``, ``scaled``, and ``held_out``.
     exceeded : int
         Steps held out that left D_c.
     violation : float
         Upper bound of the probability that a step leaves D_c, if the steps held out are
         independent and alike to those to come.
-    confidence : float
-        Of that bound.
-    alike : float
-        Correlation of the scores of neighbouring steps that were held out.
-    offset : float
-        Where zero states go in a step under zero inputs, in half-widths of D_c.
-    bounds : array, shape (m,)
-        Largest recorded value of each input.
+    warnings : list of str
+        What weakens that bound.
     """
 
     model: FittedModel
     half_widths: Array
-    steps: tuple[int, int, int]
+    steps: dict[str, int]
     exceeded: int
     violation: float
-    confidence: float
-    alike: float
-    offset: float
-    bounds: Array
-
-    def warnings(self) -> list[str]:
-        """What weakens the bound."""
-        found = []
-        if self.alike > ALIKE:
-            found.append(
-                f"what the model leaves of neighbouring steps is alike (correlation "
-                f"{self.alike:.2f}), so fewer steps are independent than the bound counts"
-            )
-        if self.offset > OFFSET:
-            found.append(
-                f"under zero inputs zero states move by {self.offset:.2f} half-widths of D_c a "
-                "step: subtract the operating point from the columns"
-            )
-        return found
+    warnings: list[str]
 
 
 def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> Recording:
@@ -147,12 +110,11 @@ def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> 
     lengths = {len(columns[name]) for name in wanted}
     if len(lengths) > 1:
         raise FitError(f"{path}: columns have {sorted(lengths)} rows, expected one length")
-    return Recording(
-        tuple(states),
-        tuple(inputs),
-        np.column_stack([columns[name] for name in states]),
-        np.column_stack([columns[name] for name in inputs]),
-    )
+    x = np.column_stack([columns[name] for name in states])
+    u = np.column_stack([columns[name] for name in inputs])
+    step = np.column_stack([x[:-1], u[:-1], x[1:]])
+    whole = np.isfinite(step).all(axis=1)
+    return Recording(tuple(states), tuple(inputs), x[:-1][whole], u[:-1][whole], x[1:][whole])
 
 
 def _csv_columns(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
@@ -162,37 +124,33 @@ def _csv_columns(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
         raise FitError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise FitError(f"{path}: not UTF-8 text, expected CSV or a MATLAB file (.mat)") from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-    lines = [(i, line) for i, line in lines if not line.startswith("#")]
+    numbered = enumerate(text.splitlines(keepends=True), 1)
+    lines = [(i, line) for i, line in numbered if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
         raise FitError(f"{path}: expected a line of names, and a line of numbers for each step")
     separator = max(",;\t", key=lines[0][1].count)
     rows = csv.reader((line for _, line in lines), delimiter=separator)
     names = [name.strip() for name in next(rows)]
-    for name in names:
-        if name in wanted and names.count(name) > 1:
+    columns: dict[str, list[float]] = {name: [] for name in names}
+    for name in wanted:
+        if names.count(name) > 1:
             raise FitError(f"{path}: has two columns {name!r}")
-    places = [i for i, name in enumerate(names) if name in wanted]
-    values: list[list[float]] = []
-    for (number, _), row in zip(lines[1:], rows, strict=True):
-        values.append(list(_numbers(row, places, names, f"{path}: line {number}")))
-    found = np.array(values)
-    columns = {name: np.empty(0) for name in names}
-    columns |= {names[place]: found[:, i] for i, place in enumerate(places)}
-    return columns
+    for row in rows:
+        where = f"{path}: line {lines[rows.line_num - 1][0]}"
+        cells = dict(zip(names, row, strict=False))
+        for name in (n for n in names if n in wanted):
+            if name not in cells:
+                raise FitError(f"{where}: got {len(row)} columns, expected {len(names)}")
+            columns[name].append(_number(cells[name].strip(), f"{where}: {name}"))
+    return {name: np.array(column) for name, column in columns.items()}
 
 
-def _numbers(
-    row: Sequence[str], places: Sequence[int], names: Sequence[str], where: str
-) -> Iterator[float]:
-    for place in places:
-        if place >= len(row):
-            raise FitError(f"{where}: got {len(row)} columns, expected {len(names)}")
-        cell = row[place].strip()
-        try:
-            yield float(cell) if cell else math.nan
-        except ValueError:
-            raise FitError(f"{where}: {names[place]}: got {cell!r}, expected a number") from None
+def _number(cell: str, where: str) -> float:
+    """What a cell says; not a number where it is empty."""
+    try:
+        return float(cell) if cell else math.nan
+    except ValueError:
+        raise FitError(f"{where}: got {cell!r}, expected a number") from None
 
 
 def _matlab_columns(path: Path) -> dict[str, Array]:
@@ -207,21 +165,18 @@ def _matlab_columns(path: Path) -> dict[str, Array]:
         raise FitError(f"{path}: not a MATLAB file before version 7.3: {why}") from None
     columns: dict[str, Array] = {}
     for name, value in found.items():
-        if name.startswith("__") or not np.issubdtype(np.asarray(value).dtype, np.number):
+        table = np.atleast_2d(value)
+        if name.startswith("__") or not np.issubdtype(table.dtype, np.number):
             continue
-        table = np.atleast_2d(np.asarray(value, dtype=float))
-        if table.shape[0] == 1:
-            table = table.T
-        if table.shape[1] == 1:
-            columns[name] = table[:, 0]
+        rows = (table if len(table) > 1 else table.T).astype(float)
+        if rows.shape[1] == 1:
+            columns[name] = rows[:, 0]
         else:
-            columns |= {f"{name}_{i + 1}": table[:, i] for i in range(table.shape[1])}
+            columns |= {f"{name}_{i + 1}": rows[:, i] for i in range(rows.shape[1])}
     return columns
 
 
-def fit_recording(
-    recording: Recording, *, violation: float, confidence: float = CONFIDENCE
-) -> RecordedFit:
+def fit_recording(recording: Recording, violation: float) -> RecordedFit:
     """Identify A and B, scale D_c, and count the steps held out that leave it.
 
     Parameters
@@ -229,22 +184,20 @@ def fit_recording(
     recording : Recording
     violation : float
         Share of the steps that may leave D_c, for its scale.
-    confidence : float
-        Of the bound on that share.
 
     Raises
     ------
     FitError
         When the recording is too short, does not excite the plant, or shows no disturbance.
     """
-    x, u, after = recording.transitions()
+    x, u, after = recording.x, recording.u, recording.after
     first, second = (int(share * len(x)) for share in PARTS)
     _check_excited(recording, x[:first], u[:first])
     model = identify(x[:first], u[:first], after[:first])
-    for j in inputs_without_effect(model, x[:first], u[:first]):
+    if model.dead:
         raise FitError(
-            f"input {recording.inputs[j]} has no effect: B's column is within its error; leave it "
-            "out of --inputs, or record the plant while that input changes more"
+            f"input {recording.inputs[model.dead[0]]} has no effect: B's column is within its "
+            "error; leave it out of --inputs, or record the plant while that input changes more"
         )
     residuals = after - x @ model.A.T - u @ model.B.T
     shape = template(residuals[:first])
@@ -257,29 +210,51 @@ def fit_recording(
     except ValueError as error:
         problem = str(error).replace("sessions", "steps")
         raise FitError(f"to scale D_c {problem}; record more, or raise --violation") from None
-    held_out = scores[second:]
+    half_widths, held_out = shape * scale, scores[second:]
     exceeded = int((held_out > scale).sum())
-    alike = 0.0
-    if len(held_out) > 2 and held_out.std() > 0:
-        alike = float(np.corrcoef(held_out[:-1], held_out[1:])[0, 1])
+    offset = _offset(x[:first], u[:first], after[:first])
     return RecordedFit(
         model=model,
-        half_widths=shape * scale,
-        steps=(first, second - first, len(held_out)),
+        half_widths=half_widths,
+        steps={"identified": first, "scaled": second - first, "held_out": len(held_out)},
         exceeded=exceeded,
-        violation=violation_bound(len(held_out), exceeded, confidence),
-        confidence=confidence,
-        alike=alike,
-        offset=_offset(x[:first], u[:first], after[:first], shape * scale),
-        bounds=np.abs(u).max(axis=0),
+        violation=violation_bound(len(held_out), exceeded),
+        warnings=_warnings(held_out, float((offset / half_widths).max())),
     )
 
 
-def _offset(x: Array, u: Array, after: Array, half_widths: Array) -> float:
-    """Largest constant part of the next state that is more than its error, in half-widths."""
+def _warnings(held_out: Array, offset: float) -> list[str]:
+    """What weakens the bound.
+
+    Parameters
+    ----------
+    held_out : array
+        Scores of the steps held out, in the order of time.
+    offset : float
+        Where zero states go in a step under zero inputs, in half-widths of D_c.
+    """
+    found = []
+    alike = 0.0
+    if len(held_out) > 2 and held_out.std() > 0:
+        alike = float(np.corrcoef(held_out[:-1], held_out[1:])[0, 1])
+    if alike > ALIKE:
+        found.append(
+            f"what the model leaves of neighbouring steps is alike (correlation "
+            f"{alike:.2f}), so fewer steps are independent than the bound counts"
+        )
+    if offset > OFFSET:
+        found.append(
+            f"under zero inputs zero states move by {offset:.2f} half-widths of D_c a "
+            "step: subtract the operating point from the columns"
+        )
+    return found
+
+
+def _offset(x: Array, u: Array, after: Array) -> Array:
+    """The constant part of each next state, where it is more than its error."""
     model = identify(x, np.column_stack([u, np.ones(len(u))]), after)
     constant, errors = np.abs(model.B[:, -1]), model.errors[:, -1]
-    return float((np.where(constant > WITHIN * errors, constant, 0.0) / half_widths).max())
+    return np.where(constant > WITHIN * errors, constant, 0.0)
 
 
 def _check_excited(recording: Recording, x: Array, u: Array) -> None:

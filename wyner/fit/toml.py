@@ -19,27 +19,15 @@ def as_toml(tables: Mapping[str, Any], head: str = "") -> str:
 
 
 def _table(path: str, table: Mapping[str, Any]) -> Iterator[str]:
-    plain = {k: v for k, v in table.items() if not isinstance(v, Mapping) and not _tables(v)}
-    for key, value in plain.items():
-        yield f"{key} = {_value(value)}"
+    """What is no table stands first; ``path`` is empty, or ends with a dot."""
+    below: list[tuple[str, str, Mapping[str, Any]]] = []
     for key, value in table.items():
-        if key in plain:
-            continue
-        below = f"{path}.{key}" if path else key
+        name = f"{path}{key}"
         if isinstance(value, Mapping):
-            yield from ("", f"[{below}]")
-            yield from _table(below, value)
+            below.append((f"[{name}]", name, value))
+        elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+            below += [(f"[[{name}]]", name, item) for item in value]
         else:
-            for item in value:
-                yield from ("", f"[[{below}]]")
-                yield from _table(below, item)
-
-
-def _tables(value: object) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Mapping)
-
-
-def _value(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return json.dumps(value, ensure_ascii=False)
+            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"
+    for title, name, one in below:
+        yield from ("", title, *_table(f"{name}.", one))

@@ -22,7 +22,7 @@ from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import mean_cost, truth_of
-from wyner.runs.score.report import HEADINGS, NOTE, Report, remarks, rows
+from wyner.runs.score.report import Report
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
     RunScore,
@@ -34,6 +34,7 @@ from wyner.runs.score.score import (
     score,
 )
 from wyner.runs.score.summary import in_short
+from wyner.runs.score.words import GUESSES, NOTE, SECRECY, guess_rows, remarks, secrecy_rows
 from wyner.runs.seal import FILES, ITSELF
 from wyner.runs.trace import Trace
 
@@ -222,8 +223,10 @@ def _secrecy(run: Run, scored: _Scored) -> dict[str, Any]:
         "figures": figures,
         "report": {
             "verdict": found.verdict(),
-            "headings": HEADINGS,
-            "rows": rows(found),
+            "tables": [
+                (GUESSES, guess_rows(found.taps)),
+                (SECRECY, secrecy_rows(found.taps)),
+            ],
             "note": NOTE,
             "remarks": [f"{t.name}: {remark}" for t in found.taps for remark in remarks(t)],
             "guesses": [

@@ -21,7 +21,7 @@ from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from protocol.agreement import NO_SYMBOL
 from protocol.link.channel import Channel, Direction, channel_of
-from protocol.link.effects import Effects, Notice, Save
+from protocol.link.effects import Effect, Effects, Extract, Publish, Save, Tell
 from protocol.link.endpoint import Endpoint
 from protocol.link.events import Event, Missed
 from protocol.link.pacing import Pacing
@@ -32,7 +32,6 @@ from protocol.messages import (
     Message,
     Offer,
     SendCommand,
-    Status,
 )
 from protocol.scenario import Scenario
 from protocol.secret.blocks import ClosedBlock
@@ -40,7 +39,7 @@ from protocol.secret.extractor import extracted
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.chance import seeded_nonces
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.perform import Crashed, CrashingPorts, perform
+from runtime.perform import Crashed, Crashing, perform
 from runtime.user_code import load_model
 from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
@@ -89,24 +88,17 @@ class _Ports:
         self._partner: Side = partner
         self._journal = journal
 
-    def save(self, save: Save) -> None:
-        self._journal.save(save)
-        self._world.kept(save)
-
-    def publish(self, message: Message) -> None:
-        self._world.send(self._partner, message)
-
-    def extract(self, block: ClosedBlock) -> None:
-        self._world.extract(self._side, block)
-
-    def trace(self, event: Event) -> None:
-        self._world.traced(event)
-
-    def log_notice(self, notice: Notice) -> None:
-        pass
-
-    def health(self, status: Status) -> None:
-        pass
+    def do(self, effect: Effect) -> None:
+        match effect:
+            case Save():
+                self._journal.save(effect)
+                self._world.kept(effect)
+            case Publish(message):
+                self._world.send(self._partner, message)
+            case Extract(block):
+                self._world.extract(self._side, block)
+            case Tell(event):
+                self._world.traced(event)
 
 
 class SimulatedEnd:
@@ -122,7 +114,7 @@ class SimulatedEnd:
         self.side: Side = side
         self.partner: Side = partner
         self.journal = journal
-        self.ports = CrashingPorts(_Ports(world, side, partner, journal))
+        self.shell = Crashing(_Ports(world, side, partner, journal).do)
         self.endpoint: Endpoint | None = None
         self.wakes_at = inf
         self.incarnations = 0
@@ -249,7 +241,7 @@ class Simulation:
     def _identifier(self) -> str:
         return f"{self.random.getrandbits(64):016x}"
 
-    # --- what the ports do ------------------------------------------------------------------------
+    # --- what an effect does ----------------------------------------------------------------------
 
     def send(self, to: Side, message: Message) -> None:
         """Put a message on the network, which does with it what it likes."""
@@ -302,7 +294,7 @@ class Simulation:
     def _start(self, side: Side) -> None:
         end = self.ends[side]
         end.incarnations += 1
-        end.ports.crash_at()
+        end.shell.crash_at()
         end.endpoint = (
             self._new_plant(end.incarnations) if side == "plant" else self._new_controller()
         )
@@ -370,9 +362,9 @@ class Simulation:
         asked = iter(effects)
         first = tuple(islice(asked, 1))
         crashing = first != () and self.chance(self._faults.crash)
-        end.ports.crash_at(after=self.random.randrange(LONGEST) if crashing else -1)
+        end.shell.crash_at(after=self.random.randrange(LONGEST) if crashing else -1)
         with suppress(Crashed):
-            perform(chain(first, asked), end.ports)
+            perform(chain(first, asked), end.shell.do)
         self._note_offers()
         if crashing:
             self._die(end)

@@ -1,7 +1,7 @@
 """What a sweep found, point by point."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,36 +62,55 @@ class FoundBySweep:
         return {"sweep": self.name, "output": output, "new_rows": self.new, "points": points}
 
     def __str__(self) -> str:
-        """A table with a row for each point, and where the files are."""
-        head = ["scenario", "variant", *self.grid, "runs", "bit/s", "secret at most"]
-        head += ["x'x", "u'u", "mistaken"]
-        head += [f"{name} keys, messages" for name in (self.points[0].taps if self.points else ())]
-        table = [head, *map(self._row, self.points)]
-        columns = [column for column in zip(*table, strict=True) if any(column[1:])]
+        """Tables of the points, their rates and their eavesdroppers, and where the files are."""
+        numbered = [(str(number), s) for number, s in enumerate(self.points, start=1)]
+        where = ["scenario", "variant", *self.grid]
+        lines = _table(
+            ["point", *where],
+            [[number, *(str(s.first[name]) for name in where)] for number, s in numbered],
+        )
+        head = ["point", "runs", "bit/s", "secret", "x'x", "u'u", "mistaken"]
+        lines += ["", *_table(head, [[number, *_loop(s)] for number, s in numbered])]
+        lines.append("secret: bit/s that the strongest eavesdropper leaves, at most")
+        taps = [[number, *row] for number, s in numbered for row in _taps(s)]
+        if taps:
+            head = ["point", "eavesdropper", "keys right", "messages read"]
+            lines += ["", *_table(head, taps)]
         return "\n".join(
             [
-                *aligned(zip(*columns, strict=True)),
-                f"{self.rows} rows in {self.output}, {self.new} of them new",
-                f"rates and intervals, a row a point, in {self.rates}; "
-                f"`wyner sweep {self.rates} --plot` draws them",
+                *lines,
+                "",
+                f"{self.rows} rows, {self.new} of them new: {self.output}",
+                f"Rates and intervals, a row a point: {self.rates}",
+                f"Draw them: wyner sweep {self.rates} --plot",
             ]
         )
 
-    def _row(self, s: Summary) -> list[str]:
-        return [
-            str(s.first["scenario"]),
-            str(s.first["variant"]),
-            *(str(s.first[name]) for name in self.grid),
-            str(s.runs),
-            s.rate.text(".4g"),
-            "no eavesdropper" if s.secret is None else f"{s.secret:.2g}",
-            *(f"{cost.value:.3g}" for cost in s.costs.values()),
-            str(s.counts["mistaken"]),
-            *(_share(s, name) for name in s.taps),
+
+def _loop(s: Summary) -> list[str]:
+    """How fast a point is, and what control costs there."""
+    return [
+        str(s.runs),
+        s.rate.text(".4g"),
+        "nobody heard" if s.secret is None else f"{s.secret:.2g}",
+        *(f"{cost.value:.3g}" for cost in s.costs.values()),
+        str(s.counts["mistaken"]),
+    ]
+
+
+def _taps(s: Summary) -> list[list[str]]:
+    """What each eavesdropper got at a point."""
+    return [
+        [
+            name,
+            s.shares[f"{name} keys known"].scaled(100.0).text(".1f", " %"),
+            f"{counts['read']} of {counts['delivered']}",
         ]
+        for name, counts in s.taps.items()
+    ]
 
 
-def _share(s: Summary, name: str) -> str:
-    counts = s.taps[name]
-    keys = s.shares[f"{name} keys known"].scaled(100.0)
-    return f"{keys.text('.1f', ' %')}, {counts['read']} of {counts['delivered']}"
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """The rows below their head; columns in which nothing stands are left out."""
+    columns = [column for column in zip(head, *rows, strict=True) if any(column[1:])]
+    return aligned(zip(*columns, strict=True))

@@ -18,7 +18,7 @@ from runtime.shipped import SCENARIOS
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, Belief
 from tests.support import traced
 from wyner.runs.run import Run
-from wyner.runs.score import report as reporting
+from wyner.runs.score import words
 from wyner.runs.score.report import percent, report
 from wyner.runs.score.score import (
     DEAF,
@@ -109,7 +109,7 @@ def test_a_tap_that_was_deaf_for_most_of_a_run_keeps_no_secret(stated: float | N
     assert tap.left_bits.high < 10.0
     assert "of the 30 that it could use" in r.verdict()
     assert "and of 290 bits nobody knows" in r.verdict()
-    assert any(line.startswith("could not use 290 of 320") for line in reporting.remarks(tap))
+    assert any(line.startswith("could not use 290 of 320") for line in words.remarks(tap))
     told = r.to_json()["taps"]["tap"]
     assert (told["silent_steps"], told["silent_bits"]) == (290, 290.0)
     # one who heard all and knows less is the stronger one: more is known of her
@@ -161,7 +161,7 @@ def test_what_she_knows_counts_and_not_how_she_names_it(size: int, keys: int) ->
     assert tap.left_bits is not None
     assert tap.left_bits.high < 0.2 * r.claimed_bits
     assert tap.symbol_error_rate.value > 0.99  # as she names them
-    assert any("relabelled" in line for line in reporting.remarks(tap))
+    assert any("relabelled" in line for line in words.remarks(tap))
     # each run has a labelling of its own, as each run's model may be mirrored or not
     straight = replace(one, live=dict(t.keys))
     both = report([RunScore("r", t, (s,)), RunScore("s", t, (score(t, straight),))])
@@ -241,7 +241,8 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
     assert value["left_bits"] is None
     assert value["symbol_error_rate"]["value"] is None
     assert value["symbol_error_rate"]["no_interval"]
-    assert reporting.rows(only_keys)[0][1:6] == ("-",) * 5
+    assert words.guess_rows(only_keys.taps)[0][1:3] == ("-", "-")
+    assert words.secrecy_rows(only_keys.taps)[0][1:4] == ("-", "-", "-")
     with_weak = report([RunScore("r", t, (failed, weak))])
     assert with_weak.strongest is not None
     assert with_weak.strongest.name == "weak"
@@ -280,7 +281,7 @@ def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     high = stated_left(3.25, 10.0).high
     accounts = f"({high:.1f} given English sentences, by keys alone 10.0)"
     assert accounts in r.verdict()
-    (remark,) = reporting.remarks(r.strongest)
+    (remark,) = words.remarks(r.strongest)
     assert "bits left, given English sentences; by its keys" in remark
     assert r.strongest.left_bits is not None
     assert (
@@ -400,7 +401,7 @@ def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
     run = score_run(Run.load(tmp_path))
     assert run.to_json()["t"]["symbol_accuracy"] == 1.0
     assert run.to_json()["t"]["message_bit_accuracy"] is None
-    assert reporting.rows(report([run]))[0][2] == "-"
+    assert words.guess_rows(report([run]).taps)[0][2] == "-"
 
 
 def test_missing_files_are_one_line(tmp_path: Path) -> None:

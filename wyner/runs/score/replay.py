@@ -18,9 +18,9 @@ from tap_service.eavesdroppers import ORACLE, KnowledgeError, named
 from tap_service.listening import Listeners
 from tap_service.status import report_of
 from wyner.runs.score.plain import plain
-from wyner.runs.score.report import held_line, unused_in_words
 from wyner.runs.score.score import Guesses, TapOutput
 from wyner.runs.score.summary import in_short
+from wyner.runs.score.words import held_line, unused_in_words
 
 
 def hear_again(path: Path, names: Sequence[str], scenario: Scenario | None = None) -> "Decoded":

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from protocol.messages.adversary import KeysHeld
-from protocol.relabelling import Labels, in_words, known
+from protocol.relabelling import Labels, known
 from protocol.statistics import (
     CONFIDENCE,
-    FEWEST_RUNS,
     Interval,
     bits_left,
     share_over_runs,
@@ -220,7 +219,9 @@ class Report:
             left += ", no better than chance"
         if strongest.silent_bits:
             left += f", and of {strongest.silent_bits:.0f} bits nobody knows"
-        bound = f"All together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
+        bound = (
+            f"All keys together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
+        )
         told = "PAPER'S RULE EXCEEDS TRUE: " if self.exceeds else ""
         claim = claim if told else f"{claim[0].upper()}{claim[1:]}"
         return f"{told}{claim}; {left}. {bound} the model."
@@ -340,101 +341,6 @@ def _usable(run: RunScore, tap: EavesdropperScore) -> int:
     return len(run.truth.keys) - tap.silent
 
 
-HEADINGS: Final = (
-    "eavesdropper",
-    "symbol errors",
-    "bit errors",
-    "messages exact",
-    "P_g",
-    "bits left, at most",
-    "by keys alone",
-    "list",
-    "broken at k",
-)
-
-NOTE: Final = (
-    f"Rates have 95 % intervals over runs; fewer than {FEWEST_RUNS} runs have none. P_g and the "
-    "bits left have limits that hold however often one looks, for the symbols up to one "
-    "relabelling a run. An eavesdropper that is not shown to be better than chance leaves all bits "
-    "of the steps that it could use; of other steps nothing is known."
-)
-"""What the table's intervals are."""
-
-
-def rows(r: Report) -> list[tuple[str, ...]]:
-    """The report as a table's rows, under :data:`HEADINGS`."""
-
-    def number(value: float | None, form: str) -> str:
-        return "-" if value is None else format(value, form)
-
-    return [
-        (
-            t.name,
-            percent(t.symbol_error_rate),
-            percent(t.message_bit_error_rate),
-            percent(t.exact_message_rate),
-            t.guessing_probability.text(".3f") if t.agreed_steps else "-",
-            "-" if t.left_bits is None else f"{t.left_bits.high:.1f}",
-            "-" if t.left_bits_by_keys is None else f"{t.left_bits_by_keys.high:.1f}",
-            number(t.list_size, ".0f"),
-            number(t.median_broken, ".0f"),
-        )
-        for t in r.taps
-    ]
-
-
-def remarks(t: TapReport) -> list[str]:
-    """What must stand beside the numbers of one eavesdropper, in words."""
-    found = []
-    if t.unscored:
-        found.append(f"not scored: {t.unscored}")
-    if t.relabelled:
-        alike = len(set(t.relabelled)) == 1
-        how = in_words(t.relabelled[0]) if alike and t.size <= WORDED else "by run, in --json"
-        found.append(f"its symbols count relabelled: {how}")
-    if t.left_bits_stated is not None and t.left_bits_by_keys is not None:
-        found.append(
-            f"states at most {t.left_bits_stated.high:.1f} bits left, {given(t.given)}; "
-            "by its keys, which suppose nothing of the message, at most "
-            f"{t.left_bits_by_keys.high:.1f}"
-        )
-    if t.silent_steps:
-        steps = t.silent_steps + t.agreed_steps
-        found.append(
-            f"could not use {t.silent_steps} of {steps} agreed steps: nothing is known of what it "
-            "leaves of them"
-        )
-    if told := unused_in_words(t.unused):
-        found.append(f"not used of what the tap heard: {told}")
-    return found
-
-
-WORDED: Final = 8
-"""M up to which a relabelling is told in words."""
-
-_KINDS: Final = {
-    "foreign": "messages of other sessions",
-    "late": "late messages",
-    "dropped": "messages dropped",
-    "malformed": "malformed messages",
-    "jumped": "steps skipped",
-    "restarts": "restarts",
-}
-
-
-def unused_in_words(unused: Mapping[str, int]) -> str:
-    """What a tap could not use, by kind; empty where it used all."""
-    return ", ".join(f"{unused[k]} {words}" for k, words in _KINDS.items() if unused.get(k))
-
-
 def given(expectation: str) -> str:
     """What an eavesdropper's own account rests on."""
     return f"given {expectation}" if expectation else "by its own account"
-
-
-def held_line(held: KeysHeld) -> str:
-    """What one who goes for keys holds, in words."""
-    line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
-    if held.unplaced:
-        line += f"; {held.unplaced} transitions fell in no block that it could place"
-    return line

@@ -16,17 +16,17 @@ from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
 from wyner.runs.score.replay import hear_again
-from wyner.runs.score.report import (
-    BOUND,
-    HEADINGS,
+from wyner.runs.score.report import BOUND, Report, report
+from wyner.runs.score.score import RunScore, read_truth, score, score_run
+from wyner.runs.score.words import (
+    GUESSES,
     NOTE,
-    Report,
+    SECRECY,
+    guess_rows,
     held_line,
     remarks,
-    report,
-    rows,
+    secrecy_rows,
 )
-from wyner.runs.score.score import RunScore, read_truth, score, score_run
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,17 @@ class ScoredRuns:
         }
 
     def __str__(self) -> str:
-        """A table with a row for each eavesdropper, the verdict, costs and key blocks."""
+        """Tables with a row for each eavesdropper, the verdict, costs and key blocks."""
         r = self.report
-        lines = aligned([HEADINGS, *rows(r)])
+        lines = aligned([GUESSES, *guess_rows(r.taps)])
+        lines += ["", *aligned([SECRECY, *secrecy_rows(r.taps)]), ""]
         for tap in r.taps:
             told = [*remarks(tap), *map(held_line, tap.keys)]
             lines += [f"{tap.name}: {remark}" for remark in told]
         counted = f"{len(r.runs)} run{'' if len(r.runs) == 1 else 's'}"
         counted += f", {r.transitions} transitions; by the paper's rule "
         counted += f"{r.claimed_bits:.0f} bits count as secret"
-        lines += ["", counted, NOTE, r.verdict(), BOUND]
+        lines += ["", counted, NOTE, "", r.verdict(), BOUND]
         for folder, cost in self.costs.items():
             if cost is not None:
                 lines.append(f"control cost of {folder}: {cost:.4g} a step, x' Q x + u' R u")

@@ -19,7 +19,7 @@ from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import exchanged, mean_cost, recovered
 from wyner.runs.score.keys import audit_keys, key_lines
-from wyner.runs.score.report import WORDED, given, report, unused_in_words
+from wyner.runs.score.report import given, report
 from wyner.runs.score.score import (
     DEAF,
     ONE_RUN,
@@ -28,6 +28,7 @@ from wyner.runs.score.score import (
     ScoreError,
     score_run,
 )
+from wyner.runs.score.words import WORDED, unused_in_words
 from wyner.runs.trace import columns
 
 GUESS_LENGTH: Final = 72

@@ -1,0 +1,28 @@
+"""What a command found, for machines and for people."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What a command prints.
+
+    Parameters
+    ----------
+    figures : dict
+        One object for machines.
+    lines : list of str
+        For people.
+    """
+
+    figures: dict[str, Any]
+    lines: list[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """One object for machines."""
+        return self.figures
+
+    def __str__(self) -> str:
+        """Lines for people."""
+        return "\n".join(self.lines)
