@@ -10,7 +10,7 @@ import pytest
 from protocol.messages import SendReply
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
-from wyner.cli import options, send
+from wyner.cli import send
 from wyner.cli.main import main
 from wyner.cli.options import joined
 from wyner.deployment import running
@@ -25,7 +25,7 @@ NOBODY = "tcp/127.0.0.1:9"
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(options, "CONTROLLER_MANAGEMENT", NOBODY)
+    monkeypatch.setattr(running, "CONTROLLER_MANAGEMENT", NOBODY)
     monkeypatch.setattr(send, "CONTROLLER_MANAGEMENT", NOBODY)
 
 

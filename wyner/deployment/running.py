@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import UsageError
+from runtime.services import CONTROLLER_MANAGEMENT
 
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""
@@ -143,25 +144,23 @@ def listens(endpoint: str) -> bool:
     return True
 
 
-def is_there(name: str | None, by_hand: str) -> bool:
+def is_there(name: str | None) -> bool:
     """Whether the loop that is named runs; without a name, whether any does.
 
     As for :func:`chosen`, which says which one it is.
     """
     if name is not None:
         return any(loop.is_called(name) for loop in running_loops())
-    return bool(running_loops()) or listens(by_hand)
+    return bool(running_loops()) or listens(CONTROLLER_MANAGEMENT)
 
 
-def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
+def chosen(name: str | None) -> RunningLoop | None:
     """The loop to join: the one named, the only one, or None for services started by hand.
 
     Parameters
     ----------
     name : str, optional
         What ``--run`` says: a run's folder, or the last parts of it.
-    by_hand : str
-        An endpoint at which services that were started by hand listen.
 
     Raises
     ------
@@ -180,9 +179,9 @@ def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
         return None
     if len(loops) > 1:
         raise UsageError(f"{len(loops)} runs on this machine, expected --run with one of: {names}")
-    if listens(by_hand):
+    if listens(CONTROLLER_MANAGEMENT):
         raise UsageError(
-            f"two loops on this machine: run {names}, and services at {by_hand}; "
+            f"two loops on this machine: run {names}, and services at {CONTROLLER_MANAGEMENT}; "
             f"expected --run {names}, or --connect for the other"
         )
     return loops[0]
