@@ -232,6 +232,7 @@ class RecordedPair(Pair):
 
     def copy(self, side: Side) -> None:
         """Keep a copy of an end's journal as it is now."""
+        shutil.rmtree(self._copy(side), ignore_errors=True)
         self._copy(side).mkdir()
         for path in (self.folder / side).glob("journal*"):
             shutil.copy(path, self._copy(side))
