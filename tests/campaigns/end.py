@@ -50,8 +50,8 @@ from tests.support.line import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
-from tests.support.recorded_pair import reported
 from tests.support.safety import first_held
+from wyner.simulate.network import reported
 
 Side = Literal["plant", "controller"]
 

@@ -13,11 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.session import rules_of
-from protocol.messages import Offer
-from protocol.secret.stream import NOWHERE
-from tests.support.mail import Mail
-from tests.support.once import Digits
 from tests.support.pair import SIDES, Name
 from tests.support.recorded_pair import RecordedPair
 from tests.support.size import size
@@ -38,24 +33,8 @@ class Wire(RecordedPair):
 
     def __init__(self, folder: Path) -> None:
         self.counts: Counter[str] = Counter()
-        self.doubled: list[str] = []
         super().__init__(folder / "run", MESSAGE, name="sealed", more=COINED)
         self._copied = folder / "copy"
-        self._digits = Digits(rules_of(self.scenario).digits)
-
-    def said(self, side: Name, message: Mail) -> None:
-        """Look at an offer, and let it go on its way."""
-        if message.kind is Offer:
-            offer = Offer.model_validate_json(message.payload)
-            self.counts["with digits"] += offer.position != NOWHERE
-            try:
-                self._digits.named(offer)
-            except AssertionError as error:
-                self.doubled.append(f"{offer.position}: {error}")
-        super().said(side, message)
-
-    def _one_cipher(self, offer: Offer) -> None:
-        """Under the key stream each offer has a cipher symbol of its own."""
 
     def go_on(self, steps: int) -> None:
         target = self.plant.state.link.k + steps
@@ -89,7 +68,6 @@ def restored(folder: Path, count: int) -> Wire:
 @pytest.mark.long
 def test_no_digit_is_named_for_two_steps_whoever_is_put_back(tmp_path: Path) -> None:
     loop = restored(tmp_path, size(12, 200))
-    assert loop.doubled == []
     assert min(loop.counts[side] for side in SIDES) > 2
-    assert loop.counts["with digits"] > 200
+    assert len(loop.onlooker.digits.positions) > 200
     assert loop.counts["sessions ended"] > 4

@@ -2,13 +2,9 @@
 
 import json
 import os
-import pty
 import re
-import select
 import signal
 import socket
-import subprocess
-import sys
 import termios
 from pathlib import Path
 
@@ -18,7 +14,9 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
+from tests.support.patience import wait_for
 from tests.support.programs import ROOT, python, wyner
+from tests.support.screens import Terminal
 from wyner.cli.main import commands, main, overview
 
 PRESENT = list(commands())
@@ -207,34 +205,12 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_told_to_end_the_command_gives_the_terminal_back(number: signal.Signals) -> None:
-    leader, follower = pty.openpty()
-    before = termios.tcgetattr(follower)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "wyner", "dashboard", "--loop", "nobody"],
-        stdin=follower,
-        stdout=follower,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "TERM": "xterm"},
-        cwd=ROOT,
-        start_new_session=True,
-    )
-    seen = b""
-    try:
-        while b"\x1b[?1049h" not in seen or termios.tcgetattr(follower) == before:
-            assert select.select([leader], [], [], 20)[0], seen
-            seen += os.read(leader, 65536)
-        process.send_signal(number)
-        while b"\x1b[?1049l" not in seen:
-            assert select.select([leader], [], [], 20)[0], seen
-            seen += os.read(leader, 65536)
-        assert process.wait(20) == 130
-        assert termios.tcgetattr(follower) == before
-        assert seen.rfind(b"\x1b[?25h") > seen.rfind(b"\x1b[?25l")
-    finally:
-        process.kill()
-        process.wait()
-        os.close(leader)
-        os.close(follower)
+    screen = Terminal("-m", "wyner", "dashboard", "--loop", "nobody")
+    screen.wait_for("\x1b[?1049h")
+    wait_for(lambda: termios.tcgetattr(screen.leader) != screen.before)
+    screen.process.send_signal(number)
+    screen.end()
+    assert screen.process.returncode == 130
 
 
 def test_what_the_terminal_cannot_write_is_spelled_out() -> None:

@@ -10,14 +10,14 @@ import pytest
 from protocol.messages import SendReply
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
-from wyner.cli import options, send
+from wyner.cli import send
 from wyner.cli.main import main
 from wyner.cli.options import joined
 from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
 from wyner.deployment.sending import queued
 
-RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
+RUN = RunningLoop("/runs/a/run", "sustained", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
 NOBODY = "tcp/127.0.0.1:9"
 
 
@@ -25,7 +25,7 @@ NOBODY = "tcp/127.0.0.1:9"
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(options, "CONTROLLER_MANAGEMENT", NOBODY)
+    monkeypatch.setattr(running, "CONTROLLER_MANAGEMENT", NOBODY)
     monkeypatch.setattr(send, "CONTROLLER_MANAGEMENT", NOBODY)
 
 

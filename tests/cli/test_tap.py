@@ -4,85 +4,30 @@ import csv
 import errno
 import itertools
 import json
-import logging
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from protocol.link.events import NEW_JOURNAL
-from protocol.messages import Measurement, Offer
-from runtime.recording import Bounds, TraceWriter
-from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
-from studies.secrecy.runs import Run, simulate
-from tap_service.capture.channel import View
+from runtime.recording import Bounds
+from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureReader
-from tap_service.capture.recording import RotatingLog, mirror_line
+from tests.support.recorded_pair import RecordedPair
 from wyner.cli.main import main
-from wyner.fit.toml import as_toml
+
+MESSAGE = b"Lower the bridge now"
+STEPS = 1000
 
 
 @pytest.fixture(scope="module")
-def run() -> Run:
-    return simulate(1000, 2)
-
-
-@pytest.fixture(scope="module")
-def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run's directory: the tap's capture, and the plant's trace as far as scoring reads it."""
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run's folder; its capture has some parts."""
     folder = tmp_path_factory.mktemp("run")
-    header = {
-        "loop": "loop",
-        "knowledge": run.scenario.knowledge().model_dump(mode="json"),
-        "view": View().model_dump(mode="json"),
-        "eavesdroppers": ["set-membership", "nearest-centre"],
-    }
-    tables = json.loads(run.scenario.model_dump_json(exclude_none=True, exclude_unset=True))
-    (folder / SCENARIO).write_text(as_toml(tables))
-    limits = Bounds(part_bytes=60_000, free_bytes=0)
-    log = RotatingLog(folder / CAPTURE, header, limits, logging.getLogger("test"))
-    for i, message in enumerate(run.messages):
-        log.write(mirror_line(1000 + i, message.topic, message.wire()))
-    log.close()
-    trace = TraceWriter(folder / PLANT_TRACE, "plant", {})
-    session = run.messages[0].session
-    trace.write({"event": "session", "session": session, "reason": NEW_JOURNAL})
-    for k in range(run.truth.transitions):
-        at = (session, k)
-        before, offer, after = run.messages[2 * k : 2 * k + 3]
-        assert isinstance(before, Measurement)
-        assert isinstance(offer, Offer)
-        assert isinstance(after, Measurement)
-        trace.write(
-            {
-                "event": "transition",
-                "session": session,
-                "j": k,
-                "k": k,
-                "x": before.x,
-                "candidates": offer.candidates,
-                "cipher": offer.cipher,
-                "x_next": after.x,
-                "gauges": [0.0, 0.0],
-                "coin": 0,
-                "u": offer.candidates[0],
-                "key": run.truth.keys.get(at, -1),
-                "p": 0,
-                "s": 1,
-                "counts": 0,
-                "role": "message" if at in run.truth.symbols else "test",
-                "symbol": run.truth.keys.get(at, -1),
-                "message_symbol": run.truth.symbols.get(at, -1),
-            }
-        )
-        for whole_k, payload in run.truth.whole:
-            if whole_k == k:
-                import base64
-
-                text = base64.b64encode(payload).decode()
-                trace.write({"event": "recovered", "payload": text})
-    trace.close()
+    captured = Bounds(part_bytes=100_000, free_bytes=0)
+    loop = RecordedPair(folder, MESSAGE, pace="fast", seed=2, captured=captured)
+    loop.steps(STEPS)
+    loop.stop()
     return folder
 
 
@@ -92,15 +37,13 @@ def call(capsys: pytest.CaptureFixture[str], *args: object) -> tuple[int, str, s
     return code, out, err
 
 
-def test_replay_decodes_and_scores(
-    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_decodes_and_scores(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture = run_dir / CAPTURE
     code, out, _ = call(capsys, "score", capture, "--eavesdropper", "list-decoder", "--json")
     assert code == 0
     report = json.loads(out)
-    assert report["transitions"] == 1000
-    assert report["taps"]["list-decoder"]["message"] == run.payloads[0].decode()
+    assert report["transitions"] == STEPS
+    assert report["taps"]["list-decoder"]["message"] == MESSAGE.decode()
 
 
 def test_the_oracle_in_a_replay_needs_the_runs_folder(
@@ -182,7 +125,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def test_export_to_mcap_is_read_by_the_public_reader(
-    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reader_module = pytest.importorskip("mcap.reader")
     path = tmp_path / "c.mcap"
@@ -196,11 +139,11 @@ def test_export_to_mcap_is_read_by_the_public_reader(
         ]
     assert {s.name for s in summary.schemas.values()} == {"Measurement", "Offer"}
     assert all(s.encoding == "jsonschema" for s in summary.schemas.values())
-    assert len(got) == len(run.messages)
-    for (name, topic, t_ns, data), (i, message) in zip(got, enumerate(run.messages), strict=True):
+    captured = CaptureReader(run_dir).records()
+    for (name, topic, t_ns, data), (heard_ns, message) in zip(got, captured, strict=True):
         assert name == type(message).__name__
         assert topic == f"wyner/v2/loop/{message.topic}"
-        assert t_ns == 1000 + i
+        assert t_ns == heard_ns
         assert type(message).model_validate(data) == message
 
 
@@ -269,14 +212,14 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
 
 
 def test_export_of_steps_has_one_column_a_number(
-    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capture = run_dir / CAPTURE
     code, _, err = call(capsys, "report", capture, "-o", tmp_path / "steps.csv", "--steps")
     assert code == 0
     rows = read_csv(tmp_path / "steps.csv")
-    assert [int(row["k"]) for row in rows] == list(range(run.truth.transitions))
-    assert f"{run.truth.transitions} steps" in err
+    assert [int(row["k"]) for row in rows] == list(range(STEPS))
+    assert f"{STEPS} steps" in err
     numbers = set(rows[0]) - {"session"}
     assert numbers == {"k", "x_1", "x_2", "u0_1", "u1_1", "cipher", "x_next_1", "x_next_2"}
     assert all(float(row[name]) is not None for row in rows for name in numbers)
@@ -289,16 +232,10 @@ def test_export_of_steps_has_one_column_a_number(
 
 
 def test_export_puts_the_truth_beside_the_steps(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tests.support.recorded_pair import RecordedPair
-
-    folder = tmp_path / "run"
-    whole = RecordedPair(folder, b"hi")
-    whole.steps(200)
-    whole.stop()
     path = tmp_path / "steps.csv"
-    assert call(capsys, "report", folder, "--output", path, "--steps")[0] == 0
+    assert call(capsys, "report", run_dir, "--output", path, "--steps")[0] == 0
     rows = read_csv(path)
     agreed = [row for row in rows if row["key"] not in ("", "-1")]
     assert agreed
@@ -307,5 +244,5 @@ def test_export_puts_the_truth_beside_the_steps(
         assert row["key"] == row["coin"]
         assert row["u_1"] == row[f"u{row['coin']}_1"]
         assert float(row[f"gauge_{row['key']}"]) <= 1
-    assert call(capsys, "report", folder / CAPTURE, "--output", path, "--steps")[0] == 0
+    assert call(capsys, "report", run_dir / CAPTURE, "--output", path, "--steps")[0] == 0
     assert "key" not in read_csv(path)[0]

@@ -1,27 +1,19 @@
 """The live screen on a real terminal, and the lines without one."""
 
-import fcntl
 import io
 import os
 import pty
-import select
 import signal
-import struct
-import subprocess
-import sys
 import termios
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.dashboard.states import batches, plant_of, state_after, with_controller, with_plant
-from tests.support.patience import PATIENCE_S
 from tests.support.rehearsal import MESSAGE_TEXT
-from tests.support.screens import to_text
+from tests.support.screens import Terminal, to_text
 from tests.support.scripted import ScriptedSource
 from tests.support.statuses import changed
 from wyner.dashboard.app import GO_ON, Ending, LiveScreen, has_screen
@@ -155,31 +147,21 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
 # --- the terminal ------------------------------------------------------------------------------
 
 
-@contextmanager
-def terminal(columns: int = 80, rows: int = 24) -> Iterator[tuple[int, int]]:
-    leader, follower = pty.openpty()
-    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-    try:
-        yield leader, follower
-    finally:
-        os.close(leader)
-        os.close(follower)
-
-
 def test_the_terminal_is_restored_after_an_exception() -> None:
-    with terminal() as (leader, follower):
-        before = termios.tcgetattr(follower)
-        with pytest.raises(RuntimeError), cbreak(follower) as keys:
-            assert not termios.tcgetattr(follower)[3] & termios.ICANON
-            os.write(leader, b"k\x1a")
-            assert keys.read(5) == ["k", "\x1a"]
-            raise RuntimeError
-        assert termios.tcgetattr(follower) == before
+    leader, follower = pty.openpty()
+    before = termios.tcgetattr(follower)
+    with pytest.raises(RuntimeError), cbreak(follower) as keys:
+        assert not termios.tcgetattr(follower)[3] & termios.ICANON
+        os.write(leader, b"k\x1a")
+        assert keys.read(5) == ["k", "\x1a"]
+        raise RuntimeError
+    assert termios.tcgetattr(follower) == before
+    os.close(leader)
+    os.close(follower)
 
 
 PROGRAM = """
-import sys, time
-from pathlib import Path
+import sys
 from wyner.dashboard.app import run_dashboard
 from tests.support.rehearsal import Rehearsal
 from tests.support.scripted import ScriptedSource
@@ -202,62 +184,14 @@ print(run_dashboard(source, until=until, conclude=conclude))
 """
 
 
-class Screen:
+def shown(mode: str) -> Terminal:
     """The program on a terminal of its own."""
-
-    def __init__(self, mode: str, folder: Path, **environment: str) -> None:
-        self.leader, follower = pty.openpty()
-        fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        self.before = termios.tcgetattr(self.leader)
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, mode, str(folder)],
-            stdin=follower,
-            stdout=follower,
-            stderr=follower,
-            start_new_session=True,
-            env={**os.environ, "TERM": "xterm-256color", "PYTHONUTF8": "1", **environment},
-        )
-        os.close(follower)
-        self.seen = b""
-
-    def wait_for(self, text: str, timeout_s: float = 20) -> None:
-        end = time.monotonic() + timeout_s
-        while text.encode() not in self.seen:
-            assert time.monotonic() < end, f"no {text!r} in {self.seen[-3000:]!r}"
-            self._read(0.1)
-
-    def _read(self, timeout_s: float) -> None:
-        ready, _, _ = select.select([self.leader], [], [], timeout_s)
-        if ready:
-            with suppress(OSError):
-                self.seen += os.read(self.leader, 65536)
-
-    def type(self, keys: str) -> None:
-        os.write(self.leader, keys.encode())
-
-    def resize(self, columns: int, rows: int) -> None:
-        fcntl.ioctl(self.leader, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-
-    def end(self) -> str:
-        """Wait for the end; what was printed after the screen closed."""
-        end = time.monotonic() + PATIENCE_S
-        while self.process.poll() is None:
-            assert time.monotonic() < end
-            self._read(0.05)
-        for _ in range(5):
-            self._read(0.05)
-        assert termios.tcgetattr(self.leader) == self.before
-        os.close(self.leader)
-        shown, _, after = self.seen.rpartition(b"\x1b[?1049l")
-        assert b"\x1b[?1049h" in shown
-        assert after.count(b"\x1b[?25l") == 0
-        assert self.seen.rfind(b"\x1b[?25h") > self.seen.rfind(b"\x1b[?25l")
-        return after.decode()
+    return Terminal("-c", PROGRAM, mode)
 
 
 @pytest.mark.slow
-def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path: Path) -> None:
-    screen = Screen("watch", tmp_path)
+def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind() -> None:
+    screen = shown("watch")
     screen.wait_for(" steps/s")
     screen.type("?")
     screen.wait_for("How to read it")
@@ -269,29 +203,29 @@ def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path:
 
 
 @pytest.mark.slow
-def test_control_c_is_an_interruption_and_restores_the_terminal(tmp_path: Path) -> None:
-    screen = Screen("watch", tmp_path)
+def test_control_c_is_an_interruption_and_restores_the_terminal() -> None:
+    screen = shown("watch")
     screen.wait_for(" steps/s")
     os.killpg(screen.process.pid, signal.SIGINT)
     assert "Ending.INTERRUPTED" in screen.end()
 
 
 @pytest.mark.slow
-def test_an_interruption_while_the_screen_is_set_up_restores_the_terminal(tmp_path: Path) -> None:
-    assert "Ending.INTERRUPTED" in Screen("half", tmp_path).end()
+def test_an_interruption_while_the_screen_is_set_up_restores_the_terminal() -> None:
+    assert "Ending.INTERRUPTED" in shown("half").end()
 
 
 @pytest.mark.slow
-def test_the_end_of_the_watch_and_an_error_restore_the_terminal(tmp_path: Path) -> None:
-    done = Screen("finish", tmp_path)
+def test_the_end_of_the_watch_and_an_error_restore_the_terminal() -> None:
+    done = shown("finish")
     assert "Ending.FINISHED" in done.end()
-    failed = Screen("raise", tmp_path)
+    failed = shown("raise")
     assert "RuntimeError: on purpose" in failed.end()
 
 
 @pytest.mark.slow
-def test_the_last_screen_stays_until_a_key_is_pressed(tmp_path: Path) -> None:
-    screen = Screen("conclude", tmp_path)
+def test_the_last_screen_stays_until_a_key_is_pressed() -> None:
+    screen = shown("conclude")
     screen.wait_for("Any key leaves")
     assert b"the point of it" in screen.seen
     time.sleep(0.3)
@@ -300,8 +234,8 @@ def test_the_last_screen_stays_until_a_key_is_pressed(tmp_path: Path) -> None:
     assert "Ending.FINISHED" in screen.end(), "the run had come to its end"
 
 
-def test_a_resize_is_followed(tmp_path: Path) -> None:
-    screen = Screen("watch", tmp_path)
+def test_a_resize_is_followed() -> None:
+    screen = shown("watch")
     screen.wait_for(" steps/s")
     assert "often one looks" not in screen.seen.decode()
     screen.resize(120, 40)

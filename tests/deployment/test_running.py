@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from runtime.errors import UsageError
+from wyner.deployment import running
 from wyner.deployment.running import (
     RunningLoop,
     announced,
@@ -19,7 +20,6 @@ from wyner.deployment.running import (
     running_loops,
 )
 
-NOBODY = "tcp/127.0.0.1:9"
 ANNOUNCES = (
     "import sys; from wyner.deployment.running import RunningLoop, announced;"
     "loop = RunningLoop(**{!r})\n"
@@ -29,12 +29,13 @@ ANNOUNCES = (
 
 def loop_named(name: str) -> RunningLoop:
     ends = [f"tcp/127.0.0.1:{port}" for port in (1, 2, 3)]
-    return RunningLoop(f"/runs/{name}", "sustained", "loop", *ends)
+    return RunningLoop(f"/runs/{name}", "sustained", *ends)
 
 
 @pytest.fixture(autouse=True)
 def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(running, "CONTROLLER_MANAGEMENT", "tcp/127.0.0.1:9")
     return tmp_path
 
 
@@ -54,11 +55,11 @@ def test_a_note_stands_as_long_as_its_run(runtime: Path) -> None:
     assert running_loops() == []
     with announced(loop_named("a")):
         assert running_loops() == [loop_named("a")]
-        assert chosen(None, NOBODY) == loop_named("a")
-        assert chosen("a", NOBODY) == chosen("/runs/a", NOBODY) == loop_named("a")
+        assert chosen(None) == loop_named("a")
+        assert chosen("a") == chosen("/runs/a") == loop_named("a")
     assert running_loops() == []
     assert list((runtime / "wyner").iterdir()) == []
-    assert chosen(None, NOBODY) is None
+    assert chosen(None) is None
     assert (runtime / "wyner").stat().st_mode & 0o77 == 0
 
 
@@ -74,10 +75,10 @@ def test_a_note_whose_process_was_killed_is_taken_away(another: int, runtime: Pa
 def test_of_several_runs_one_must_be_named(another: int) -> None:
     with announced(loop_named("a")):
         with pytest.raises(UsageError, match="2 runs on this machine, expected --run with one"):
-            chosen(None, NOBODY)
-        assert chosen("b", NOBODY) == loop_named("b")
+            chosen(None)
+        assert chosen("b") == loop_named("b")
         with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a, b"):
-            chosen("c", NOBODY)
+            chosen("c")
 
 
 def test_a_run_is_named_by_its_path_from_here() -> None:
@@ -88,8 +89,8 @@ def test_a_run_is_named_by_its_path_from_here() -> None:
     for elsewhere in ("/runs/b", "/runs/a/run", "/runs/a/ru"):
         assert run.seen_from(Path(elsewhere)) == "/runs/a/run"
     with announced(run):
-        assert chosen(run.seen_from(Path("/runs")), NOBODY) == run
-        assert chosen(run.seen_from(Path("/elsewhere")), NOBODY) == run
+        assert chosen(run.seen_from(Path("/runs"))) == run
+        assert chosen(run.seen_from(Path("/elsewhere"))) == run
 
 
 def test_notes_that_are_no_notes_are_passed_over(runtime: Path) -> None:

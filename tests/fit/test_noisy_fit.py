@@ -57,8 +57,8 @@ def test_noise_is_told_from_disturbance() -> None:
         applied.append(u)
     y = np.array(read).transpose(1, 0, 2)
     inputs = np.array(applied).transpose(1, 0, 2)
-    before, at, after = (y[:, i : i + steps - 1].reshape(-1, 2) for i in range(3))
-    u_at = inputs[:, 1:].reshape(-1, 1)
+    before, at, after = y[:, :-2], y[:, 1:-1], y[:, 2:]
+    u_at = inputs[:, 1:]
     plain, better = identify(at, u_at, after), identify(at, u_at, after, before)
     assert abs(better.A - A).max() < 0.01
     assert abs(better.A - A).max() < 0.5 * abs(plain.A - A).max()

@@ -125,7 +125,7 @@ def test_residuals_that_depend_on_their_neighbours_are_told(
         ("position,speed,force\n" + "1,2,3\n" * 40, [], "input force is 3 throughout"),
         (
             "position,speed,force\n1,2,3\n",
-            ["--sessions", "3"],
+            ["--sessions", "100"],
             "--sessions: is for a plant that is run",
         ),
         ("position,speed,force\n1,2,3\n", ["--violation", "2"], "--violation: got 2, expected"),

@@ -56,7 +56,7 @@ def test_both_ends_keep_step_over_a_bad_network(nonlinear: System) -> None:
     t = next(iter(history.plant.values()))
     assert len(t.predictions) == 4
     assert t.as_event()["predictions"] == t.predictions
-    assert all(offer.predictions for _, _, offer in history.offered)
+    assert all(offer.predictions for _, offer in history.offered)
 
 
 @pytest.mark.parametrize(

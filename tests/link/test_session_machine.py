@@ -18,7 +18,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from protocol.link.effects import Effects
 from protocol.link.events import Event, SessionBegan
-from protocol.link.records import ControllerRecord
 from protocol.link.session import Rules
 from protocol.messages import Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
@@ -52,34 +51,18 @@ class Ends(LinePair):
     def __init__(self, rules: Rules, step_s: float | None, **more: Any) -> None:
         self.forgot = more["rivals"] is not None
         self.late_hello = False
-        self._offered: list[Offer] = []
-        self._ciphers: dict[tuple[str, int], int] = {}
         super().__init__(rules, step_s, PAYLOADS[0], **more)
 
     def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         super().do(side, act)
         if side == "plant":
             assert self.plant.state.session.state != "refused"
-            return
-        record = self.ends[side].endpoint.state.record
-        assert isinstance(record, ControllerRecord)
-        for offer in self._offered:
-            if offer == record.offer:
-                at = (offer.session, record.link.transitions)
-                first = self._ciphers.setdefault(at, offer.cipher)
-                assert first == offer.cipher, "a transition was offered two cipher symbols"
-        self._offered.clear()
 
     def hear(self, side: Name, message: Mail) -> None:
         if message.kind is PlantHello:
             hello = PlantHello.model_validate_json(message.payload)
             self.late_hello |= hello.instance != self.plant.instance
         super().hear(side, message)
-
-    def said(self, side: Name, message: Mail) -> None:
-        if message.kind is Offer:
-            self._offered.append(Offer.model_validate_json(message.payload))
-        super().said(side, message)
 
     def traced(self, side: Name, event: Event) -> None:
         super().traced(side, event)

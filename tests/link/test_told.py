@@ -100,11 +100,6 @@ class Story(RecordedPair):
         super().__init__(folder, *payloads, **more)
         self.relay = self.between = Changed()  # type: ignore[assignment]
 
-    def _one_cipher(self, offer: Offer) -> None:
-        """Under the key stream each offer has a cipher symbol of its own."""
-        if self.scenario.secrecy.scheme != "sealed":
-            super()._one_cipher(offer)
-
     def performer(self, effects: Effects, do: Do) -> None:
         (side,) = [name for name, end in self.ends.items() if end.shell.do == do]
         perform(self._noted(side, effects), do)

@@ -37,6 +37,8 @@ class Digits:
 
     Attributes
     ----------
+    positions : dict
+        The position that the offers of each session and step name.
     served : dict
         Session and step that the digits at each position of each session served.
     watched : set of tuple
@@ -47,7 +49,7 @@ class Digits:
         self.count = count
         self.served: dict[tuple[str, Position], int] = {}
         self.watched: set[tuple[str, int]] = set()
-        self._named: dict[tuple[str, int], Position] = {}
+        self.positions: dict[tuple[str, int], Position] = {}
         self._newest: dict[str, tuple[int, Position]] = {}
         self._applied: dict[tuple[str, int], int] = {}
 
@@ -59,7 +61,7 @@ class Digits:
         position, at = Position(offer.stream_block, offer.stream_at), (offer.session, offer.k)
         if position == NOWHERE:
             return
-        assert self._named.setdefault(at, position) == position, "a step was given other digits"
+        assert self.positions.setdefault(at, position) == position, "a step was given other digits"
         k, newest = self._newest.get(offer.session, (-1, NOWHERE))
         if offer.k <= k:
             return

@@ -39,6 +39,7 @@ from tests.support.line import (
 from tests.support.mail import Mail, mail
 from tests.support.once import Onlooker
 from tests.support.safety import differing_key
+from wyner.simulate.network import reported
 
 Name = Literal["plant", "controller", "rival"]
 """An end; the rival is a second controller on the same loop."""
@@ -94,11 +95,14 @@ class Pair(ABC):
         What the network has for each side, in the order in which it was said.
     ends : dict of str to Alive
     lives : dict of str to int
+    onlooker : Onlooker
     """
 
     performer: Performer = staticmethod(perform)
 
-    def __init__(self) -> None:
+    def __init__(self, rules: Rules) -> None:
+        self.rules, self.onlooker = rules, Onlooker(rules)
+        self._ciphers: dict[tuple[str, int], int] = {}
         self.now = 0.0
         self.mail: dict[Side, list[Mail]] = {side: [] for side in SIDES}
         self.ends: dict[Name, Alive] = {}
@@ -110,7 +114,20 @@ class Pair(ABC):
         """A new process of an end, as its journal has it; nothing is said yet."""
 
     def said(self, side: Name, message: Mail) -> None:
-        """A message leaves: the network has it for the other side, if it is for it."""
+        """A message leaves, and is looked at."""
+        if message.kind in (Measurement, Offer):
+            said = message.kind.model_validate_json(message.payload)
+            assert isinstance(said, Measurement | Offer)
+            self.onlooker.said(said)
+            if isinstance(said, Offer) and not self.rules.scheme.from_stream:
+                core: Any = self.ends[side].endpoint
+                at = said.session, reported(core)
+                first = self._ciphers.setdefault(at, said.cipher)
+                assert first == said.cipher, "a transition was offered two cipher symbols"
+        self.post(side, message)
+
+    def post(self, side: Name, message: Mail) -> None:
+        """The network has it for the other side, if it is for it."""
         if message.kind in HEARS[OTHER[side]]:
             bag = self.mail[OTHER[side]]
             bag.append(message)
@@ -306,7 +323,6 @@ class LinePair(Pair):
     ----------
     line : LinePlant or ActingLine
         Its coin and d are the next step's.
-    onlooker : Onlooker
     counted : dict of str to dict
         The transitions that the plant, and any controller, has counted: by session and number.
     received : list of bytes
@@ -324,11 +340,10 @@ class LinePair(Pair):
         acts: bool = False,
         rivals: Sequence[bytes] | None = None,
     ) -> None:
-        super().__init__()
-        self.rules, self.period_s = rules, period_s
+        super().__init__(rules)
+        self.period_s = period_s
         self.names = 0
         self.device = LineDevice() if acts else None
-        self.onlooker = Onlooker(rules)
         self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.received: list[bytes] = []
         self._covers = _Covers()
@@ -405,13 +420,6 @@ class LinePair(Pair):
         self.journals[side].save(save)
         if save.received is not None:
             self.received.append(save.received)
-
-    def said(self, side: Name, message: Mail) -> None:
-        super().said(side, message)
-        if message.kind in (Measurement, Offer):
-            said = message.kind.model_validate_json(message.payload)
-            assert isinstance(said, Measurement | Offer)
-            self.onlooker.said(said)
 
     def traced(self, side: Name, event: Event) -> None:
         """An end traces an event; both count a transition alike, and the plant in one version."""

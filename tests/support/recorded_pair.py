@@ -20,7 +20,6 @@ from typing import Any, Literal
 from unittest.mock import patch
 
 from attacker_service.attacker import Attacker
-from controller_service.core import ControllerCore
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.service import ControllerConfig, open_controller
@@ -28,8 +27,7 @@ from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.effects import Effect, Save
 from protocol.link.records import Side
-from protocol.link.session import reports
-from protocol.link.step import Answered
+from protocol.link.session import rules_of
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import AttackTable, Scenario, parse_scenario
 from protocol.secret.blocks import ClosedBlock
@@ -40,6 +38,7 @@ from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, SCENARIO
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import mirror_line
+from tap_service.config import TapConfig
 from tests.support.mail import Mail, mail
 from tests.support.pair import SIDES, Alive, Mortal, Name, Pair
 from wyner.runs.check import check
@@ -68,13 +67,6 @@ def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
     """A shipped scenario, and its law."""
     scenario = parse_scenario(tomllib.loads((SCENARIOS / f"{name}.toml").read_text()), name)
     return scenario, make_law(scenario, cached_design(scenario))
-
-
-def reported(core: ControllerCore) -> int:
-    """Transitions that the plant has reported, the one that waits to be counted included."""
-    record, step = core.state.record, core.state.step
-    counts = isinstance(step, Answered) and reports(record.link, record.offer, step.measurement)
-    return record.link.transitions + counts
 
 
 @dataclass
@@ -118,8 +110,8 @@ class RecordedPair(Pair):
         One on the bus needs a :attr:`relay` besides.
     seed : int, optional
         Of coins, covers and disturbances.
-    bounds : Bounds, optional
-        Of the traces.
+    bounds, captured : Bounds, optional
+        Of the traces, and of the tap's capture.
     last : int, optional
         The plant's last step.
 
@@ -142,15 +134,14 @@ class RecordedPair(Pair):
         changes: tuple[tuple[str, str], ...] = (),
         seed: int | None = 1,
         bounds: Bounds | None = None,
+        captured: Bounds | None = None,
         last: int | None = None,
     ) -> None:
-        super().__init__()
         self._last = last
         self._pace, self._seed, self._bounds = Pace(pace), seed, bounds or Bounds()
         self._attack = attack
         self.relay: Attacker | None = None
         self.folder = folder
-        self.ciphers: dict[tuple[str, int], int] = {}
         self.received: list[bytes] = []
         self._message = payloads[0] if payloads else b""
         self._lost: int | None = None  # the step whose offers are lost
@@ -159,12 +150,12 @@ class RecordedPair(Pair):
             assert old in text
             text = text.replace(old, new)
         self.scenario = parse_scenario(tomllib.loads(text), name)
+        super().__init__(rules_of(self.scenario))
         self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCENARIO).write_text(text, encoding="utf-8")
-        view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        header = {"capture_version": 2, "view": view}
-        self._capture = TraceWriter(folder / CAPTURE, "tap", header)
+        header = {"capture_version": 2, **TapConfig(folder, self.scenario.knowledge()).header()}
+        self._capture = TraceWriter(folder / CAPTURE, "tap", header, captured)
         self._clear_alarm = False
         for side in SIDES:
             self.start(side)
@@ -269,18 +260,15 @@ class RecordedPair(Pair):
 
     # --- what happens -----------------------------------------------------------------------------
 
-    def said(self, side: Name, message: Mail) -> None:
+    def post(self, side: Name, message: Mail) -> None:
         """A message on its way: the tap hears it, and the other end if it is for it."""
-        if message.kind is Offer:
-            offer = Offer.model_validate_json(message.payload)
-            self._one_cipher(offer)
+        lost = message.kind is Offer and self._lost == json.loads(message.payload)["k"]
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
             self._capture.put(line)
             message = self._attacked(message)
-        if message.kind is Offer and offer.k == self._lost:
-            return
-        super().said(side, message)
+        if not lost:
+            super().post(side, message)
 
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
@@ -292,12 +280,6 @@ class RecordedPair(Pair):
         if self.relay is None:
             return message
         return Mail(kind, self.relay.incoming(kind, message.payload))
-
-    def _one_cipher(self, offer: Offer) -> None:
-        """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
-        at = offer.session, reported(self.controller)
-        first = self.ciphers.setdefault(at, offer.cipher)
-        assert first == offer.cipher, f"transition {at}: offered ciphers {first}, {offer.cipher}"
 
     def _t_ns(self) -> int:
         return round(self.now * 1e9)

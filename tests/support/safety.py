@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Final
 
-from protocol.link.session import CountedTransition
 from protocol.secret.stream import Held, KeyStream, Position
 from wyner.simulate.network import History
 
@@ -20,34 +19,18 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
         yield f"transition {at}: one side counted it in two versions"
     for at, mine in history.plant.items():
         theirs = history.controller.get(at)
-        if theirs is not None and _counted(mine) != _counted(theirs):
-            yield f"transition {at}: plant {_counted(mine)}, controller {_counted(theirs)}"
+        if theirs is not None and mine.shared != theirs.shared:
+            yield f"transition {at}: plant {mine.shared}, controller {theirs.shared}"
     for session in {s for s, _ in history.controller}:
         counted = sorted(j for s, j in history.controller if s == session)
         if counted != list(range(len(counted))):
             yield f"session {session}: the controller counted {counted[:5]}..., with a gap"
     ciphers: dict[tuple[str, int], int] = {}
-    for j, carries, offer in history.offered:
+    for j, offer in history.offered:
         first = ciphers.setdefault((offer.session, j), offer.cipher)
-        if carries and first != offer.cipher:
+        if first != offer.cipher:
             yield f"transition {offer.session}/{j}: cipher {first} and then {offer.cipher}"
     yield from out_of_order(history.inbox, payloads, again=history.amnesias > 0)
-
-
-def _counted(t: CountedTransition) -> tuple[object, ...]:
-    return (
-        t.k,
-        t.x,
-        t.candidates,
-        t.cipher,
-        t.x_next,
-        t.role,
-        t.symbol,
-        t.key,
-        t.message_symbol,
-        t.p,
-        t.s,
-    )
 
 
 def out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: bool) -> Iterator[str]:

@@ -3,18 +3,19 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from controller_service.laws.errors import ProgramError
+from controller_service.laws.registry import make_law, synthesise
+from controller_service.sets.terminal import SynthesisError
 from protocol.agreement import INSIDE
 from protocol.arrays import Array
+from protocol.scenario import Scenario, ScenarioError, with_fields
 from protocol.statistics import Interval, share_over_runs
 from wyner.advice import rate
-
-if TYPE_CHECKING:
-    from protocol.scenario import Scenario
-    from wyner.simulate.engine import Runs
+from wyner.simulate.engine import Runs, SimulationError
 
 SOFTER: Final = (100.0, 1000.0)
 """Factors by which the inputs' weights are raised, for a softer regulator."""
@@ -100,7 +101,7 @@ def _hundred(share: Interval) -> str:
     return share.scaled(100.0).text(".0f")
 
 
-def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
+def why(scenario: Scenario, parts: Sequence[Runs]) -> Why:
     """Count what became of the settled steps.
 
     Parameters
@@ -148,7 +149,7 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
     )
 
 
-def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
+def closest_predictions(scenario: Scenario, candidates: Array) -> Array:
     """Distance of the two closest predictions in D_c's gauge, shape (steps, R).
 
     Parameters
@@ -167,7 +168,7 @@ def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
     return best
 
 
-def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
+def remedies_for(scenario: Scenario, found: dict[str, float]) -> list[str]:
     """What to change, the most promising first; ``found`` are the shares of :class:`Why`.
 
     Each change of the law has been simulated, and is there because it helped.
@@ -196,7 +197,7 @@ def remedies_for(scenario: "Scenario", found: dict[str, float]) -> list[str]:
     return remedies
 
 
-def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
+def _laws(scenario: Scenario) -> Iterator[tuple[str, dict[str, Any]]]:
     """Changes of the law that may raise the rate: a line, and the fields of ``[control]``."""
     control = scenario.control
     if control.law == "paper":
@@ -221,17 +222,11 @@ def _laws(scenario: "Scenario") -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-def settled_share(scenario: "Scenario", fields: dict[str, Any]) -> float:
+def settled_share(scenario: Scenario, fields: dict[str, Any]) -> float:
     """The share of steps that could agree a key once the loop from the origin has settled.
 
     0 where these fields of ``[control]`` make no scenario, or it has no design or cannot run.
     """
-    from controller_service.laws.errors import ProgramError
-    from controller_service.laws.registry import make_law, synthesise
-    from controller_service.sets.design import SynthesisError
-    from protocol.scenario import ScenarioError, with_fields
-    from wyner.simulate.engine import SimulationError
-
     changes = {f"control.{name}": value for name, value in fields.items()}
     # Near the origin the smallest sets are enough.
     changes |= {"control.horizon": 1, "plant.initial_state": [0.0] * scenario.n}

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from runtime import options
 from runtime.errors import DONE, Failure, UsageError, writing
-from runtime.files import read_toml, write_atomically
-from runtime.scenario_file import others_than
-from runtime.shipped import scenario_file_of
+from runtime.files import write_atomically
 from wyner.cli.results import add_json, show
 from wyner.fit.plan import Plan
 
@@ -22,6 +20,9 @@ RECORDED_VIOLATION: Final = 0.01
 
 VIOLATION: Final = 0.05
 """Share of sessions that may, where a plant is run."""
+
+PLAN: Final = [one.name for one in fields(Plan)]
+"""Options that say how a plant is run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
     add_json(parser)
     options.add_arguments(parser, Plan)
+    parser.set_defaults(**dict.fromkeys(PLAN))  # a recording is refused with any of them
     parser.add_argument(
         "--violation",
         type=float,
@@ -78,9 +80,9 @@ def _fit_recording(args: argparse.Namespace) -> "Written":
         raise UsageError("expected --states, --inputs and --period together")
     if not 0 < args.period <= LARGEST_NUMBER:
         raise UsageError(f"--period: got {args.period:g}, expected more than 0")
-    for one in fields(Plan):
-        if getattr(args, one.name) != one.default:
-            option = one.name.replace("_", "-")
+    for name in PLAN:
+        if getattr(args, name) is not None:
+            option = name.replace("_", "-")
             raise UsageError(f"--{option}: is for a plant that is run, and not for a recording")
     violation = RECORDED_VIOLATION if args.violation is None else args.violation
     _check_share("violation", violation)
@@ -105,6 +107,9 @@ def _fit_recording(args: argparse.Namespace) -> "Written":
 def _fit_plant(args: argparse.Namespace) -> "Written":
     from controller_service.laws.errors import ProgramError
     from controller_service.sets.design import SynthesisError
+    from runtime.files import read_toml
+    from runtime.scenario_file import others_than
+    from runtime.shipped import scenario_file_of
     from wyner.fit.conformal import rank
     from wyner.fit.fitting import fit
     from wyner.fit.identification import FitError

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from protocol.topics import DEFAULT_LOOP
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure
-from runtime.services import CONTROLLER_MANAGEMENT, SERVICES
+from runtime.services import SERVICES
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
@@ -66,18 +66,18 @@ def joined(
 
     if is_told(buses) and run_name is None:
         return None, buses
-    if wait_s and not is_there(run_name, CONTROLLER_MANAGEMENT):
+    if wait_s and not is_there(run_name):
         which = "no run" if run_name is None else f"no run {run_name!r}"
         print(f"wyner: {which} on this machine yet; waiting {wait_s:g} s for it", file=sys.stderr)
         until = time.monotonic() + wait_s
-        while time.monotonic() < until and not is_there(run_name, CONTROLLER_MANAGEMENT):
+        while time.monotonic() < until and not is_there(run_name):
             time.sleep(POLL_S)
-        if run_name is None and not is_there(None, CONTROLLER_MANAGEMENT):
+        if run_name is None and not is_there(None):
             raise Failure(
                 f"no run on this machine within {wait_s:g} s: start one (wyner up; it is there "
                 "once its design is computed), or say where it is (--connect BUS=tcp/HOST:PORT)"
             )
-    loop = chosen(run_name, CONTROLLER_MANAGEMENT)
+    loop = chosen(run_name)
     if loop is None:
         return None, buses
     ends = {
@@ -85,4 +85,4 @@ def joined(
         "adversary": (loop.adversary,),
     }
     connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
-    return loop, replace(buses, loop=loop.loop, connect=connect)
+    return loop, replace(buses, loop=DEFAULT_LOOP, connect=connect)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import UsageError
+from runtime.services import CONTROLLER_MANAGEMENT
 
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""
@@ -33,15 +34,12 @@ class RunningLoop:
     run_dir : str
         The run's folder; also its name.
     scenario : str
-    loop : str
-        Its id on the buses.
     plant_management, controller_management, adversary : str
         Where its services listen.
     """
 
     run_dir: str
     scenario: str
-    loop: str
     plant_management: str
     controller_management: str
     adversary: str
@@ -82,30 +80,21 @@ def notes_folder() -> Path:
 
 @contextmanager
 def announced(loop: RunningLoop) -> Iterator[None]:
-    """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
+    """Keep a note of a running loop; where none can be kept, the loop runs all the same.
+
+    The note is whole and locked before it has the name by which others find it. Processes of two
+    containers that share the folder may have one number, so it is none's name.
+    """
     with ExitStack() as kept:
         with suppress(OSError):
-            kept.enter_context(_note_of(loop))
+            path = notes_folder() / f"{secrets.token_hex(8)}.json"
+            note = kept.enter_context(path.with_suffix(".new").open("x"))
+            fcntl.flock(note, fcntl.LOCK_EX)
+            json.dump(asdict(loop), note)
+            note.flush()
+            kept.callback(path.unlink, missing_ok=True)
+            Path(note.name).rename(path)
         yield
-
-
-@contextmanager
-def _note_of(loop: RunningLoop) -> Iterator[None]:
-    """A note that is whole and locked before it has the name by which others find it.
-
-    Processes of two containers that share the folder may have one number, so it is none's name.
-    """
-    path = notes_folder() / f"{secrets.token_hex(8)}.json"
-    with path.with_suffix(".new").open("x") as note:
-        fcntl.flock(note, fcntl.LOCK_EX)
-        json.dump(asdict(loop), note)
-        note.flush()
-        Path(note.name).rename(path)
-        try:
-            yield
-        finally:
-            with suppress(OSError):
-                path.unlink()
 
 
 def running_loops() -> list[RunningLoop]:
@@ -152,25 +141,23 @@ def listens(endpoint: str) -> bool:
     return True
 
 
-def is_there(name: str | None, by_hand: str) -> bool:
+def is_there(name: str | None) -> bool:
     """Whether the loop that is named runs; without a name, whether any does.
 
     As for :func:`chosen`, which says which one it is.
     """
     if name is not None:
         return any(loop.is_called(name) for loop in running_loops())
-    return bool(running_loops()) or listens(by_hand)
+    return bool(running_loops()) or listens(CONTROLLER_MANAGEMENT)
 
 
-def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
+def chosen(name: str | None) -> RunningLoop | None:
     """The loop to join: the one named, the only one, or None for services started by hand.
 
     Parameters
     ----------
     name : str, optional
         What ``--run`` says: a run's folder, or the last parts of it.
-    by_hand : str
-        An endpoint at which services that were started by hand listen.
 
     Raises
     ------
@@ -189,9 +176,9 @@ def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
         return None
     if len(loops) > 1:
         raise UsageError(f"{len(loops)} runs on this machine, expected --run with one of: {names}")
-    if listens(by_hand):
+    if listens(CONTROLLER_MANAGEMENT):
         raise UsageError(
-            f"two loops on this machine: run {names}, and services at {by_hand}; "
+            f"two loops on this machine: run {names}, and services at {CONTROLLER_MANAGEMENT}; "
             f"expected --run {names}, or --connect for the other"
         )
     return loops[0]

@@ -26,8 +26,8 @@ from protocol.link.endpoint import Endpoint
 from protocol.link.events import Event, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.records import ControllerRecord, PlantRecord
-from protocol.link.session import CountedTransition, rules_of
-from protocol.link.step import IDLE
+from protocol.link.session import CountedTransition, reports, rules_of
+from protocol.link.step import Answered
 from protocol.messages import (
     Message,
     Offer,
@@ -49,14 +49,15 @@ from wyner.simulate.faults import Faults
 class History:
     """What happened, as both ends saw it.
 
-    ``offered`` has each offer ever sent, after the transition it was meant for and whether it
-    carries. ``rewritten`` names transitions that one side counted in two versions.
+    ``offered`` has each offer ever sent whose cipher symbol is not of the key stream, after the
+    transition it was meant for. ``rewritten`` names transitions that one side counted in two
+    versions.
     """
 
     plant: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     controller: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     rewritten: list[tuple[str, int]] = field(default_factory=list)
-    offered: list[tuple[int, bool, Offer]] = field(default_factory=list)
+    offered: list[tuple[int, Offer]] = field(default_factory=list)
     inbox: list[bytes] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
     missed: int = 0
@@ -73,32 +74,11 @@ LONGEST: Final = 5
 four of a step (save it, publish it, trace what it counted, keep the record), or after all."""
 
 
-class _Ports:
-    """What one end does to the world: its disk, the network, the history."""
-
-    def __init__(
-        self,
-        world: "Simulation",
-        side: Side,
-        partner: Side,
-        journal: ControllerJournal | PlantJournal,
-    ) -> None:
-        self._world = world
-        self._side: Side = side
-        self._partner: Side = partner
-        self._journal = journal
-
-    def do(self, effect: Effect) -> None:
-        match effect:
-            case Save():
-                self._journal.save(effect)
-                self._world.kept(effect)
-            case Publish(message):
-                self._world.send(self._partner, message)
-            case Extract(block):
-                self._world.extract(self._side, block)
-            case Tell(event):
-                self._world.traced(event)
+def reported(core: ControllerCore) -> int:
+    """Transitions that the plant has reported, the one that waits to be counted included."""
+    record, step = core.state.record, core.state.step
+    counts = isinstance(step, Answered) and reports(record.link, record.offer, step.measurement)
+    return record.link.transitions + counts
 
 
 class SimulatedEnd:
@@ -111,13 +91,27 @@ class SimulatedEnd:
         partner: Side,
         journal: ControllerJournal | PlantJournal,
     ) -> None:
+        self._world = world
         self.side: Side = side
         self.partner: Side = partner
         self.journal = journal
-        self.shell = Crashing(_Ports(world, side, partner, journal).do)
+        self.shell = Crashing(self.do)
         self.endpoint: Endpoint | None = None
         self.wakes_at = inf
         self.incarnations = 0
+
+    def do(self, effect: Effect) -> None:
+        """What it does to the world: to its disk, to the network, to the history."""
+        match effect:
+            case Save():
+                self.journal.save(effect)
+                self._world.kept(effect)
+            case Publish(message):
+                self._world.send(self.partner, message)
+            case Extract(block):
+                self._world.extract(self.side, block)
+            case Tell(event):
+                self._world.traced(event)
 
 
 class Simulation:
@@ -185,7 +179,6 @@ class Simulation:
         self._plant_journal = PlantJournal(None, scenario.fingerprint())
         self._controller: ControllerCore
         self.plant: PlantCore
-        self._offered: list[Offer] = []
         self._delivered = 0
         self.ends: dict[Side, SimulatedEnd] = {
             "controller": SimulatedEnd(self, "controller", "plant", self._queue),
@@ -246,8 +239,8 @@ class Simulation:
     def send(self, to: Side, message: Message) -> None:
         """Put a message on the network, which does with it what it likes."""
         faults = self._faults
-        if isinstance(message, Offer):
-            self._offered.append(message)
+        if isinstance(message, Offer) and not self._scheme.from_stream:
+            self.history.offered.append((reported(self._controller), message))
         if self.chance(faults.loss):
             return
         for _ in range(2 if self.chance(faults.repeat) else 1):
@@ -365,7 +358,6 @@ class Simulation:
         end.shell.crash_at(after=self.random.randrange(LONGEST) if crashing else -1)
         with suppress(Crashed):
             perform(chain(first, asked), end.shell.do)
-        self._note_offers()
         if crashing:
             self._die(end)
             return
@@ -389,17 +381,3 @@ class Simulation:
         """The operator hands over all messages."""
         for number, payload in enumerate(self._payloads):
             self._queue.enqueue(SendCommand(id=f"{number}", payload=payload))
-
-    def _note_offers(self) -> None:
-        """Note for which transition an offer was meant, once the controller has counted so far.
-
-        Where it died in between, and lost its journal too, nobody ever offers that one again.
-        """
-        state = self._controller.state
-        if state.step is not IDLE:
-            return
-        for offer in self._offered:
-            if state.offer == offer:
-                carries = self._scheme.pad(state.link.state) != NO_SYMBOL
-                self.history.offered.append((state.link.transitions, carries, offer))
-        self._offered.clear()

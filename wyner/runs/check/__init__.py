@@ -10,24 +10,13 @@ Integrity holds every file to what its writer counted, and to the manifest.
 
 import gc
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from wyner.runs.check import (
-    agreements,
-    alarms,
-    bus,
-    evidence,
-    files,
-    messages,
-    opinion,
-    plant,
-    replay,
-)
+from wyner.runs.check import agreements, alarms, bus, files, messages, opinion, plant, replay
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 
 MOST: Final = 100
@@ -45,14 +34,11 @@ class Rule:
         The paper's equation or figure, or the rule of docs/protocol.md.
     says : str
         What must hold, in one line.
-    needs : tuple of str
-        What of a run's files there must be, else there is nothing to look at.
     """
 
     name: str
     source: str
     says: str
-    needs: tuple[Literal["plant", "controller", "capture"], ...] = ()
 
     def skipped(self, e: Evidence) -> str:
         """Why there is nothing to look at; empty where there is."""
@@ -60,10 +46,10 @@ class Rule:
             return own
         if self.name == "same-keys" and e.rules.schedule is None:
             return "no keys are made of what Eve misses"
-        nothing = not any(len(trace.rows) for trace in e.ends())
-        if nothing and e.cut and self.name != "whole":
+        if e.cut and self.name != "whole" and not any(len(trace.rows) for trace in e.ends()):
             return e.cut
-        return e.lacks(*self.needs)
+        missing = [name for name in NEEDS.get(self.name, ()) if getattr(e, name) is None]
+        return f"the run left nothing of the {' and the '.join(missing)}" if missing else ""
 
 
 RULES: Final = (
@@ -75,80 +61,72 @@ RULES: Final = (
         "verdicts, keys, symbols and fallback follow from the raw numbers",
     ),
     Rule(
-        "paper",
-        "Figs. 5, 6, (14), (22)",
-        "the paper's test and automata, written a second time, agree",
+        "paper", "Figs. 5, 6, (22)", "the paper's test and automata, written a second time, agree"
     ),
-    Rule(
-        "plant",
-        "(6), (14), (15)",
-        "each step applies candidate b_r, and leads into its Reach^c",
-        ("plant",),
-    ),
+    Rule("plant", "(6), (14), (15)", "each step applies candidate b_r, and leads into its Reach^c"),
     Rule("admissible", "(27)", "every candidate is in U and leads into T_(i-1) ~ D_c"),
     Rule("messages", "rule 7", "frames pass their check, are reported, and follow the queue"),
+    Rule("alarms", "rule 12", "an alarm is told where its test failed, and nowhere else"),
+    Rule("bus", "assumption 2", "public fields alone, and they look the same in both states"),
+    Rule("wire", "rules 1 to 3", "what the tap read is the plant's, a repeated message the same"),
+    Rule("in-step", "proposition 3", "both ends agree on every transition"),
     Rule(
-        "alarms",
-        "rule 12",
-        "an alarm is told where its test failed, and nowhere else",
-        ("controller",),
-    ),
-    Rule(
-        "bus",
-        "assumption 2",
-        "public fields alone, and they look the same in both states",
-        ("capture",),
-    ),
-    Rule(
-        "wire",
-        "rules 1 to 3",
-        "what the tap read is the plant's, a repeated message the same",
-        ("capture",),
-    ),
-    Rule(
-        "in-step",
-        "proposition 3",
-        "both ends agree on every transition",
-        ("plant", "controller"),
-    ),
-    Rule(
-        "once",
-        "section 4.2, rules 8, 11",
-        "no key, digit, nonce or copy 0 serves or leaves twice",
+        "once", "section 4.2, rules 8, 11", "no key, digit, nonce or copy 0 serves or leaves twice"
     ),
     Rule("same-keys", "rules 9, 11", "tags, counted copies and keyed coins are alike at both ends"),
     Rule("blocks", "rule 10", "a block makes as many keys as its transitions allow"),
 )
 
-TELLERS: Final[tuple[Callable[[Evidence], Findings], ...]] = (
-    files.traces,
-    replay.replay,
-    opinion.paper,
-    plant.plant,
-    plant.admissible,
-    messages.messages,
-    alarms.alarms,
-    agreements.in_step,
-    agreements.once,
-    agreements.blocks,
-    evidence.let_go,
-    bus.bus,
-    files.whole,
-)
-"""In this order: what a capture's marks say is known once it has been read."""
+NEEDS: Final = {
+    "plant": ("plant",),
+    "alarms": ("controller",),
+    "in-step": ("plant", "controller"),
+    "bus": ("capture",),
+    "wire": ("capture",),
+}
+"""What there must be, else a rule has nothing to look at."""
+
+TELLERS: Final[dict[str, Callable[..., Findings]]] = {
+    "traces": files.traces,
+    "replay": replay.replay,
+    "paper": opinion.paper,
+    "plant": plant.plant,
+    "admissible": plant.admissible,
+    "messages": messages.messages,
+    "alarms": alarms.alarms,
+    "in-step": agreements.in_step,
+    "once": agreements.once,
+    "blocks": agreements.blocks,
+    "bus": bus.bus,
+    "whole": files.whole,
+}
+"""Who tells of a rule, and of others on the way, from the evidence and what the rule needs. In this
+order: the bus lets go of the controller's rows, and what a capture's marks say is known after it.
+"""
 
 
 def check(e: Evidence) -> list[Finding]:
     """Every place where a run does not obey a rule, of each rule the first :data:`MOST`."""
     found: list[Finding] = []
     counts: Counter[str] = Counter()
-    with _collecting_seldom(), np.errstate(all="ignore"):  # a damaged trace holds any number
-        for teller in TELLERS:
-            for finding in teller(e):
+    threshold = gc.get_threshold()
+    gc.set_threshold(200_000, *threshold[1:])  # thousands of tuples, and no cycle among them
+    try:
+        with np.errstate(all="ignore"):  # a damaged trace holds any number
+            for finding in _told(e):
                 counts[finding.rule] += 1
                 if counts[finding.rule] <= MOST:
                     found.append(finding)
+    finally:
+        gc.set_threshold(*threshold)
     return found
+
+
+def _told(e: Evidence) -> Findings:
+    for name, tell in TELLERS.items():
+        needed = [getattr(e, what) for what in NEEDS.get(name, ())]
+        if None not in needed:
+            yield from tell(e, *needed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,17 +192,3 @@ def judge(e: Evidence) -> list[Result]:
         Result(rule, [f for f in found if f.rule == rule.name], why, e.cut)
         for rule, why in skipped.items()
     ]
-
-
-@contextmanager
-def _collecting_seldom() -> Iterator[None]:
-    """Let Python look for cycles seldom: there are thousands of tuples without any.
-
-    Looking at them after every 700 takes a sixth of a check.
-    """
-    threshold = gc.get_threshold()
-    gc.set_threshold(200_000, *threshold[1:])
-    try:
-        yield
-    finally:
-        gc.set_threshold(*threshold)

@@ -1,13 +1,13 @@
 """Agreements: what two records of one thing must have alike, joined by session and number."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
 from wyner.runs.blocks import Blocks, ended
-from wyner.runs.check.evidence import Evidence, Finding, Findings
-from wyner.runs.lines import TRANSITION
+from wyner.runs.check.evidence import Evidence, Finding, Findings, columns
+from wyner.runs.lines import LARGEST, TRANSITION
 from wyner.runs.trace import Places, Rows, Trace
 
 OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
@@ -20,11 +20,9 @@ DIGITS_OF_A_KEY: Final = 8 * 32
 """At most: a key is 256 bits."""
 
 
-def in_step(e: Evidence) -> Findings:
+def in_step(e: Evidence, plant: Trace, controller: Trace) -> Findings:
     """Both ends agree on every transition; the controller's may lack the last of a session."""
-    if e.plant is None or e.controller is None:
-        return
-    plant, controller, rows = e.plant, e.controller, e.plant.rows
+    rows = plant.rows
     places = Places(plant, rows, by="j")
     known = np.array([places.session(name) for name in controller.sessions], np.int64)
     met = np.zeros(len(rows), bool)
@@ -32,21 +30,20 @@ def in_step(e: Evidence) -> Findings:
     for theirs in controller.chunks(TRANSITION):
         at = places.all_of(known[theirs["session"]], theirs["j"])
         there = at >= 0
-        for i in np.flatnonzero(~there) if begun else ():
-            if not plant.may_lack(*controller.where(theirs[i])):
+        for row in theirs[~there] if begun else ():
+            if not plant.may_lack(*controller.where(row)):
                 text = "the plant's trace does not have this transition"
-                yield Finding("in-step", *controller.where(theirs[i]), text)
-        if not begun and there.any():
-            met[: at[there][0]] = begun = True
-        met[at[there]] = True
-        yield from _compared(e, plant, rows[at[there]], theirs[there])
+                yield Finding("in-step", *controller.where(row), text)
+        if there.any():
+            met[: 0 if begun else at[there][0]] = begun = True
+            met[at[there]] = True
+            yield from _compared(e, plant, rows[at[there]], theirs[there])
     made = np.flatnonzero(rows["kind"] == TRANSITION)
-    sessions = rows["session"][made]
-    last = np.append(sessions[1:] != sessions[:-1], True)[: len(made)]
-    for i in made[~met[made] & ~last] if begun else ():
-        if not controller.may_lack(*plant.where(rows[i])):
+    last = np.diff(rows["session"][made], append=-1) != 0
+    for row in rows[made[~met[made] & ~last]] if begun else ():
+        if not controller.may_lack(*plant.where(row)):
             text = "the controller has not counted this one, but the plant goes on"
-            yield Finding("in-step", *plant.where(rows[i]), text)
+            yield Finding("in-step", *plant.where(row), text)
 
 
 def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
@@ -54,9 +51,7 @@ def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
     for name in p.dtype.names or ():
         if name in OWN:
             continue
-        unlike: Any = p[name] != c[name]
-        if unlike.ndim > 1:
-            unlike = unlike.any(axis=tuple(range(1, unlike.ndim)))
+        unlike = (p[name] != c[name]).reshape(len(p), -1).any(axis=1)
         if name in WRITTEN:
             unlike &= written
         for i in np.flatnonzero(unlike):
@@ -78,48 +73,42 @@ def once(e: Evidence) -> Findings:
     made = {(b.session, b.number): b.keys for b in ended(trace) if b.what == "confirmed"}
     after, session = (-1, 0), -1
     for rows in trace.chunks(TRANSITION):
-        names = ("session", "k", "message", "keyed", "block", "at")
-        for number, k, message, keyed, block, at in zip(
-            *(rows[name].tolist() for name in names), strict=True
-        ):
-            name, text = trace.sessions[number], ""
+        fields = columns(rows, "session", "k", "message", "keyed", "block", "at")
+        for number, k, message, keyed, block, at in zip(*fields, strict=True):
             if number != session:
                 session, after = number, (-1, 0)
-            keys = made.get((name, block))
+            name, text = trace.sessions[number], ""
+            keys = made.get((name, block), 0 if known else LARGEST)
             if e.rules.scheme.from_stream and message != keyed:
                 text = "a message symbol without digits, or digits without one"
             elif block < 0:
                 text = "keyed, and the offer named no digits" if keyed else ""
             elif (block, at) < after:
                 text = f"position {(block, at)} is not beyond {after}"
-            elif keys is None and known:
-                text = f"position {(block, at)}: block {block} was not confirmed"
-            elif keys is not None and at + digits > keys * DIGITS_OF_A_KEY:
-                text = f"position {(block, at)}: block {block} has no such digit"
-            if block >= 0 and (block, at) >= after:
-                after = block, at + digits
+            elif at + digits > keys * DIGITS_OF_A_KEY:
+                text = f"position {(block, at)}: its block is not confirmed, or has no such digit"
+            if block >= 0:
+                after = max(after, (block, at + digits))
             if text:
                 yield Finding("once", name, k, text)
-
-
-# --- blocks ---------------------------------------------------------------------------------------
 
 
 def blocks(e: Evidence) -> Findings:
     """A block makes as many keys as its transitions allow, at both ends; without a claim, none."""
     schedule = e.rules.schedule
-    made: dict[str, dict[tuple[str, int], int]] = {}
+    made: dict[tuple[str, int], int] = {}
     for trace in e.ends():
         if schedule is None:
             for i in np.flatnonzero(trace.rows["counts"]):
                 text = f"the {trace.side} counts copies, and no key is claimed"
                 yield Finding("blocks", *trace.where(trace.rows[i]), text)
             continue
-        mine = {(line.session, line.number): line.keys for line in ended(trace)}
-        made[trace.side] = mine
-        whole = Blocks(schedule, trace)
-        for (session, number), keys in mine.items():
-            cut = trace.cut
+        whole, cut = Blocks(schedule, trace), trace.cut
+        for line in ended(trace):
+            session, number, keys = line.session, line.number, line.keys
+            if made.setdefault((session, number), keys) != keys:
+                text = f"block {number}: {keys} keys at the {trace.side}, and another number before"
+                yield Finding("blocks", session, -1, text)
             if cut and session == cut.session and number <= schedule.block_of(cut.j + 1):
                 continue  # it began before what is left
             block = whole.of(session, number)
@@ -127,8 +116,3 @@ def blocks(e: Evidence) -> Findings:
             if keys != expected:
                 text = f"the {trace.side} made {keys} keys of block {number}, expected {expected}"
                 yield Finding("blocks", session, -1, text)
-    for at, keys in made.get("plant", {}).items():
-        other = made.get("controller", {}).get(at, keys)
-        if keys != other:
-            text = f"block {at[1]}: {keys} keys at the plant, {other} at the controller"
-            yield Finding("blocks", at[0], -1, text)

@@ -7,7 +7,6 @@ from typing import Any
 from runtime.run_folder import loops_below
 from wyner.runs.check import Result, judge
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.run import Run
 from wyner.runs.seal import READ, SEAL_ALONE, is_sealed
 
 
@@ -106,5 +105,5 @@ def check_run(run_dir: Path) -> CheckedRun | CheckedFleet:
 
 
 def _checked(folder: Path) -> CheckedRun:
-    results = judge(read_evidence(folder))
-    return CheckedRun(folder, results, is_sealed(Run.load(folder).manifest))
+    e = read_evidence(folder)
+    return CheckedRun(folder, judge(e), is_sealed(e.run.manifest))

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from protocol.brief import Brief
 from protocol.link.records import Side
@@ -15,8 +15,9 @@ from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.heard import CaptureLines
 from wyner.runs.journals import JournalState, read_controller, read_plant
+from wyner.runs.lines import TracedTransition
 from wyner.runs.run import TRACES, Run
-from wyner.runs.trace import Trace
+from wyner.runs.trace import Rows, Trace
 
 EDGE: Final = 1e-9
 """A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
@@ -87,11 +88,6 @@ class Evidence:
         """Both ends' traces, as far as they are there."""
         yield from (trace for trace in (self.plant, self.controller) if trace is not None)
 
-    def lacks(self, *needs: Literal["plant", "controller", "capture"]) -> str:
-        """Which of these a run did not leave; empty where all are there."""
-        missing = [_CALLED[name] for name in needs if getattr(self, name) is None]
-        return f"no {' and no '.join(missing)} in this run's folder" if missing else ""
-
     @property
     def cut(self) -> str:
         """Which parts of the traces are gone, and what is judged of the rest; empty: none are."""
@@ -122,19 +118,15 @@ class Evidence:
         return inf if attack is None or (attack.at == "bus") != bus else attack.onset
 
 
-def let_go(e: Evidence) -> Findings:
-    """Let go of the controller's rows, so that there is room for what a capture takes."""
-    if e.plant is not None and e.controller is not None:
-        e.controller.let_go()
-        e.run.forget("controller")
-    yield from ()
+def before(trace: Trace) -> TracedTransition | None:
+    """The transition that the first rows of a cut trace go on from, in one session."""
+    cut = trace.cut
+    return cut if cut is not None and trace.sessions[:1] == [cut.session] else None
 
 
-_CALLED: Final = {
-    "plant": "plant trace",
-    "controller": "controller trace",
-    "capture": "capture",
-}
+def columns(rows: Rows, *names: str) -> list[list[Any]]:
+    """Columns of a trace's rows as plain values."""
+    return [rows[name].tolist() for name in names]
 
 
 def read_evidence(run_dir: Path) -> Evidence:

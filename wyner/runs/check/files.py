@@ -1,5 +1,6 @@
 """Files: whole, of one scenario, and as far on as their journals."""
 
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -8,18 +9,15 @@ from runtime.files import read_regular
 from runtime.recording import decode, number_of, parts_of, raw_lines
 from runtime.run_folder import (
     CAPTURE,
-    CONTROLLER_JOURNAL,
-    CONTROLLER_TRACE,
     GUESSES,
     PLANT_JOURNAL,
-    PLANT_TRACE,
     TAP_STATUS,
 )
-from wyner.runs.check.evidence import Evidence, Finding, Findings
+from wyner.runs.check.evidence import Evidence, Finding, Findings, before, columns
 from wyner.runs.journals import JournalState
 from wyner.runs.lines import TRANSITION
 from wyner.runs.marks import Segments
-from wyner.runs.run import guess_logs
+from wyner.runs.run import TRACES, guess_logs
 from wyner.runs.seal import broken
 from wyner.runs.trace import Trace
 
@@ -28,25 +26,19 @@ IDENTITY: Final = ("scenario", "fingerprint", "loop")
 
 def traces(e: Evidence) -> Findings:
     """Lines as they should be, numbered without a gap, in rising steps."""
-    seen = False
     for trace in e.ends():
-        name = f"{trace.side}'s trace"
-        for problem in trace.problems:
-            yield Finding("traces", "", -1, f"{name}, {problem.where}: {problem.text}")
-        place = -1, -1, -1  # session, j and k of the transition before
-        if trace.cut is not None and trace.sessions[:1] == [trace.cut.session]:
-            place = 0, trace.cut.j, trace.cut.k
+        name, cut = f"{trace.side}'s trace", before(trace)
+        for where, text in trace.problems:
+            yield Finding("traces", "", -1, f"{name}, {where}: {text}")
+        place = (-1, -1, -1) if cut is None else (0, cut.j, cut.k)  # of the transition before
         for rows in trace.chunks(TRANSITION):
-            seen = seen or len(rows) > 0
-            for session, j, k in zip(
-                *(rows[n].tolist() for n in ("session", "j", "k")), strict=True
-            ):
+            for session, j, k in zip(*columns(rows, "session", "j", "k"), strict=True):
                 due, least = (place[1] + 1, place[2]) if session == place[0] else (0, -1)
                 if j != due or k <= least:
                     text = f"{name}: j = {j}, expected {due}, and k above {least}"
                     yield Finding("traces", trace.sessions[session], k, text)
                 place = session, j, k
-    if not seen and not e.cut:
+    if not e.cut and not any(trace.transitions for trace in e.ends()):
         yield Finding("traces", "", -1, "no transition: nothing has happened in this run")
 
 
@@ -79,7 +71,10 @@ def _recorded(e: Evidence) -> Iterator[str]:
     """What does not fit the marks of a recording."""
     parts = [part for trace in e.ends() for part in trace.parts]
     parts += [] if e.capture is None else e.capture.parts
-    parts += [_segments_of(p) for s in guess_logs(e.folder) for p in parts_of(s)]
+    for path in (path for stem in guess_logs(e.folder) for path in parts_of(stem)):
+        marks = Segments(path.name)
+        deque(marks.read(path), maxlen=0)  # no rule reads the lines
+        parts.append(marks)
     for marks in parts:
         yield from (f"{where}: {text}" for where, text in marks.problems)
     yield from _told_alike(e)
@@ -88,11 +83,10 @@ def _recorded(e: Evidence) -> Iterator[str]:
 def _told_alike(e: Evidence) -> Iterator[str]:
     """The tap began what Eve heard and what she guessed with one header: told what, how well."""
     captured, guessed = (_header(e.folder / name) for name in (CAPTURE, GUESSES))
-    for field in sorted(captured.keys() & guessed.keys() - {"started_ns"}):
-        if captured[field] != guessed[field]:
+    fields = captured.keys() | guessed.keys() if captured and guessed else set()
+    for field in sorted(fields - {"started_ns"}):
+        if captured.get(field, "none") != guessed.get(field, "none"):
             yield f"{CAPTURE} and {GUESSES}: their headers differ in {field}"
-    for field in sorted(captured.keys() ^ guessed.keys()) if captured and guessed else ():
-        yield f"{CAPTURE} and {GUESSES}: only one header has {field}"
 
 
 def _header(recording: Path) -> dict[str, Any]:
@@ -100,27 +94,16 @@ def _header(recording: Path) -> dict[str, Any]:
     first = next(iter(parts_of(recording)), None)
     if first is None or number_of(first):
         return {}
-    line = next(raw_lines(first), None)
-    return (decode(line[1]) if line is not None else None) or {}
-
-
-def _segments_of(path: Path) -> Segments:
-    """The marks of a recording whose lines no rule reads."""
-    marks = Segments(path.name)
-    for _ in marks.read(path):
-        pass
-    return marks
+    _, raw, _ = next(raw_lines(first), (0, b"", False))
+    return decode(raw) or {}
 
 
 def _kept(e: Evidence) -> Iterator[str]:
     """Who has saved a transition has traced it; what one end counted the other has, too."""
     there = {trace.side: trace for trace in e.ends()}
-    paths = {
-        "plant": (PLANT_TRACE, PLANT_JOURNAL),
-        "controller": (CONTROLLER_TRACE, CONTROLLER_JOURNAL),
-    }
     for side, journal in e.journals.items():
-        trace, (recording, kept) = there.get(side), paths[side]
+        trace, recording = there.get(side), TRACES[side]
+        file = e.folder / recording.with_name(PLANT_JOURNAL.name)
         if isinstance(journal, str):
             yield f"{side}'s journal: {journal}"
         elif trace is None:
@@ -130,37 +113,34 @@ def _kept(e: Evidence) -> Iterator[str]:
             elif e.run.manifest is not None and any(t.last for t in there.values()):
                 yield f"{recording}: it is gone, and the manifest says that both ends ran here"
         elif journal is not None and journal.session is not None:
-            if text := _behind(trace, journal):
+            if text := _behind(trace, journal, journal.session):
                 yield f"{side}'s trace: {text}"
-        elif trace.of_last and (e.folder / kept).is_file():
+        elif trace.of_last and file.is_file():
             text = f"{side}'s journal holds nothing, its trace's last process"
             yield f"{text} {trace.of_last} transitions"
 
 
-def _behind(trace: Trace, journal: JournalState) -> str:
+def _behind(trace: Trace, journal: JournalState, session: str) -> str:
     """In what a trace and its journal differ; empty where they fit."""
-    assert journal.session is not None
-    counted, last = trace.transitions.get(journal.session, 0), trace.last
+    counted, last = trace.transitions.get(session, 0), trace.last
     saved = journal.ahead >= 0 and trace.untraced is None
-    if counted != journal.transitions + saved:
-        return f"it has {counted} transitions, its journal counts {journal.transitions + saved}"
-    if last is None or last.session != journal.session:
-        return "" if not journal.transitions else "it goes on after its journal's session"
-    if saved:
-        same = trace.side == "controller" or (last.k, last.x) == (journal.k, journal.x)
-        return "" if same else f"it ends with step {last.k}, its journal with {journal.k}"
-    if last.s != journal.s:
-        return f"it ends in state {last.s}, its journal in state {journal.s}"
-    if trace.side == "controller":
+    due = journal.transitions + saved
+    if counted != due:
+        return f"it has {counted} transitions, its journal counts {due}"
+    if last is None or last.session != session:
+        return "it goes on after its journal's session" if journal.transitions else ""
+    found, kept = (last.k, last.x), (journal.k, journal.x)
+    if not saved:
+        if last.s != journal.s:
+            return f"it ends in state {last.s}, its journal in state {journal.s}"
+        found, missed = (last.k + 1, last.x_next), trace.last_missed
+        if missed is not None and missed.k > last.k and missed.session == session:
+            found = missed.k + 1, missed.x_next
+            if journal.k == missed.k and not trace.ended:
+                return ""  # killed between the two: the step will be made again
+    if trace.side == "controller" or found == kept:
         return ""
-    missed, k, x = trace.last_missed, last.k, last.x_next
-    if missed is not None and missed.k > k and missed.session == last.session:
-        k, x = missed.k, missed.x_next
-        if journal.k == k and not trace.ended:
-            return ""  # killed between the two: the step will be made again
-    if (k + 1, x) == (journal.k, journal.x):
-        return ""
-    return f"it ends in x({k + 1}) = {list(x)}, its journal has x({journal.k}) = {list(journal.x)}"
+    return f"it ends with step and state {found}, its journal with {kept}"
 
 
 def _as_the_tap_says(e: Evidence) -> Iterator[str]:

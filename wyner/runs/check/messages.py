@@ -1,13 +1,12 @@
 """Messages: what the symbols add up to, what each end reported of it, and the queue."""
 
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from protocol.link.events import NEW_JOURNAL, PowerFailed, SessionBegan
 from protocol.schemes.framing import Deframer
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.journals import JournalState
-from wyner.runs.lines import Again, Break, Item, OtherLine, QueuedLine
+from wyner.runs.lines import Again, Break, OtherLine, QueuedLine
 from wyner.runs.trace import Trace
 
 REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
@@ -16,17 +15,16 @@ REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
 
 def messages(e: Evidence) -> Findings:
     """Frames pass their check and are reported; what was recovered follows the queue."""
-    received: list[WholeFrame | None] = []
-    for trace in e.ends():
-        framing = Framing(trace, e.rules.size)
-        framing.read()
+    framings = {trace.side: Framing(trace, e.rules.size) for trace in e.ends()}
+    for framing in framings.values():
         yield from framing.wrong
-        if trace.side == "plant":
-            received = framing.received
-            yield from _same_inbox(trace, e.journals["plant"], received, lost=framing.lost)
-    if e.plant is None or e.controller is None or e.plant.gone or e.controller.gone:
+    plant, journal = framings.get("plant"), e.journals["plant"]
+    if plant is None:
         return
-    yield from _in_order(e, e.controller, [frame for frame in received if frame is not None])
+    if isinstance(journal, JournalState) and (text := _unlike_inbox(plant, journal)):
+        yield Finding("messages", "", -1, text)
+    if e.controller is not None and not (plant.trace.gone or e.controller.gone):
+        yield from _in_order(e, Queue(e.controller, plant.trace), plant.received)
 
 
 class WholeFrame(NamedTuple):
@@ -39,10 +37,9 @@ class WholeFrame(NamedTuple):
     session: str
     j: int
     k: int
-    after_loss: bool = False
+    after_loss: bool
 
 
-@dataclass(slots=True)
 class Framing:
     """An end's symbols put together, and its reports compared with them.
 
@@ -50,74 +47,74 @@ class Framing:
     where the end was killed in between, both come again; never where the journal was lost. Of a cut
     trace nothing is known until a report or another session says where a frame begins.
 
-    ``received`` has the frames that passed their check, and None where a new journal began.
+    Attributes
+    ----------
+    received : list of WholeFrame
+        Those that passed their check.
+    begun : int
+        How many of them came before the end's journal began.
+    lost : bool
+        Whether the power failed since the last of them.
     """
 
-    trace: Trace
-    size: int
-    wrong: list[Finding] = field(default_factory=list)
-    received: list[WholeFrame | None] = field(default_factory=list)
-    due: WholeFrame | None = None
-    last: WholeFrame | None = None
-    owed: WholeFrame | None = None  # killed before the report; the transition must come again
-    deframer: Deframer = field(init=False)
-    session: int = -1
-    lost: bool = False  # the power failed since the last frame
-    unknown: bool = field(init=False)
-
-    def read(self) -> None:
-        """Walk the trace."""
-        self.deframer, self.unknown = Deframer(self.size), self.trace.gone > 0
-        for row, item in self.trace.walk("session", "j", "k", "message", "message_symbol"):
+    def __init__(self, trace: Trace, size: int) -> None:
+        self.trace, self._size = trace, size
+        self.wrong: list[Finding] = []
+        self.received: list[WholeFrame] = []
+        self.begun, self.lost = 0, False
+        self._deframer, self._session, self._unknown = Deframer(size), -1, trace.gone > 0
+        self._due: WholeFrame | None = None  # its report comes next
+        self._last: WholeFrame | None = None
+        self._killed = False  # since it was whole: its transition comes again
+        for row, item in trace.walk("session", "j", "k", "message", "message_symbol"):
             if item is None:
                 self._step(*row)
             elif isinstance(item, OtherLine):
                 self._told(item)
             elif isinstance(item, Again):
-                again = item.before.session, item.before.j
-                if self.last is not None and again == self.last[1:3]:
-                    self.due, self.owed = self.last, None
+                self._again(item.after.session, item.after.j)
+            elif item.ended:
+                self._overdue(sure=not self._killed)
             else:
-                if item.ended:
-                    self._overdue(self.due)
-                self.owed, self.due = self.due or self.owed, None
+                self._killed = True
+
+    def _again(self, session: str, j: int) -> None:
+        if self._last is not None and (self._last.session, self._last.j) == (session, j):
+            self._due, self._killed = self._last, False
 
     def _step(self, session: int, j: int, k: int, message: bool, symbol: int) -> None:
         name = self.trace.sessions[session]
-        if self.due is not None or self.owed is not None:
-            if self.owed is not None and self.owed.session != name:
-                self.owed = None  # the report is lost with the journal
-            self._overdue(self.due or self.owed)
+        goes_on = self._due is not None and self._due.session == name  # else it was lost, as may be
+        self._overdue(sure=goes_on or not self._killed)
         if j < 0:
             return
-        if session != self.session:
-            self.unknown = self.unknown and self.session < 0
-            self.session, self.deframer = session, Deframer(self.size)
-        if self.unknown or not message or symbol < 0:
+        if session != self._session:
+            self._unknown = self._unknown and self._session < 0
+            self._session, self._deframer = session, Deframer(self._size)
+        if self._unknown or not message or symbol < 0:
             return
-        refused = self.deframer.refused
-        payload = self.deframer.push(symbol)
-        if payload is None and self.deframer.refused == refused:
+        refused = self._deframer.refused
+        payload = self._deframer.push(symbol)
+        if payload is None and self._deframer.refused == refused:
             return
-        self.due = self.last = WholeFrame(payload, name, j, k, self.lost)
+        self._due = self._last = WholeFrame(payload, name, j, k, self.lost)
+        self._killed = False
         if payload is None:
-            self._fail("a frame fails its check", self.last)
+            self._fail("a frame fails its check", self._last)
         else:
-            self.received.append(self.last)
+            self.received.append(self._last)
             self.lost = False
 
     def _told(self, item: OtherLine) -> None:
-        line = item.line
-        if isinstance(line, SessionBegan) and line.reason == NEW_JOURNAL:
-            self.received.append(None)
-        self.lost = self.lost or isinstance(line, PowerFailed)
+        if isinstance(item.line, SessionBegan) and item.line.reason == NEW_JOURNAL:
+            self.begun = len(self.received)
+        self.lost = self.lost or isinstance(item.line, PowerFailed)
         if item.event not in ("recovered", "refused", "delivered"):
             return
-        due, self.due = self.due, None
-        if self.unknown or (item.again and self.last is None):
-            self.unknown = False
-            return
-        if due is None:
+        due, self._due = None if self._killed else self._due, None
+        if self._unknown or (item.again and self._last is None):
+            self._unknown = False
+        elif due is None:
             self._fail(f"{item.event} {item.payload!r}, which its symbols do not add up to there")
         elif item.event == "refused":
             self._fail("the plant refused a frame", due)
@@ -125,171 +122,156 @@ class Framing:
             text = f"{item.event} {item.payload!r}, its symbols add up to {due.payload!r}"
             self._fail(text, due)
 
-    def _overdue(self, whole: WholeFrame | None) -> None:
-        if whole is not None:
-            self._fail(f"a whole frame, and nothing {REPORTS[self.trace.side]}", whole)
-        self.due = self.owed = None
+    def _overdue(self, *, sure: bool) -> None:
+        if self._due is not None and sure:
+            self._fail(f"a whole frame, and nothing {REPORTS[self.trace.side]}", self._due)
+        self._due = None
 
     def _fail(self, text: str, at: WholeFrame | None = None) -> None:
         session, k = ("", -1) if at is None else (at.session, at.k)
         self.wrong.append(Finding("messages", session, k, f"{self.trace.side}'s trace: {text}"))
 
 
-def _same_inbox(
-    plant: Trace,
-    journal: JournalState | str | None,
-    received: list[WholeFrame | None],
-    *,
-    lost: bool,
-) -> Findings:
-    """The plant's journal has received as many messages as its trace, and the same last one."""
-    if not isinstance(journal, JournalState) or plant.behind:
-        return  # put back from an older copy, it has lost what came since
-    since = received[len(received) - received[::-1].index(None) :] if None in received else received
-    payloads = [frame.payload for frame in since if frame is not None]
-    fewer = plant.gaps and len(payloads) < journal.messages
-    if journal.ahead >= 0 and len(payloads) == journal.messages + 1:
-        return  # the journal counts it with the step that it has saved
-    if len(payloads) != journal.messages and not plant.gone and not fewer:
-        text = f"the plant's trace has {len(payloads)} messages since its journal began, "
-        yield Finding("messages", "", -1, f"{text}the journal counts {journal.messages}")
-    elif payloads and payloads[-1] != journal.last and not lost:
-        text = f"the plant's trace ends with message {payloads[-1]!r}, "
-        yield Finding("messages", "", -1, f"{text}its journal with {journal.last!r}")
+def _unlike_inbox(plant: Framing, journal: JournalState) -> str:
+    """In what the plant's journal has received other messages than its trace; empty: in nothing."""
+    since, trace, counted = plant.received[plant.begun :], plant.trace, journal.messages
+    if trace.behind:
+        return ""  # put back from an older copy, it has lost what came since
+    if journal.ahead >= 0 and len(since) == counted + 1:
+        return ""  # the journal counts it with the step that it has saved
+    if len(since) != counted and not trace.gone and not (trace.gaps and len(since) < counted):
+        text = f"the plant's trace has {len(since)} messages since its journal began"
+        return f"{text}, the journal counts {counted}"
+    if since and since[-1].payload != journal.last and not plant.lost:
+        text = f"the plant's trace ends with message {since[-1].payload!r}"
+        return f"{text}, its journal with {journal.last!r}"
+    return ""
 
 
-@dataclass(slots=True)
 class Queue:
     """The controller's messages, as its trace tells them.
 
-    One that is a process's last line may be in no journal: ``doubtful``, until it is queued
-    again. ``lost`` says whether the journal may have been lost since the last message was queued:
-    another session was met by another process.
-
-    ``untold`` are messages whose lines a power failure took.
+    Attributes
+    ----------
+    told : list of (str, bytes)
+        Identifier and text of each, in the order in which they were queued.
+    delivered : list of bytes
+    untold : set of bytes
+        Messages whose lines a power failure took.
+    gaps, begins, void : set of int
+        Places in ``told``: before which lines may be lost; at which a new journal began; and of
+        messages that no journal had, so that they were queued again.
+    doubtful : dict of int
+        Places of messages that a killed process told last: they may be in no journal.
+    wrong : list of str
     """
 
-    trace: Trace
-    plant: Trace
-
-    told: list[tuple[str, bytes]] = field(default_factory=list)
-    delivered: list[bytes] = field(default_factory=list)
-    untold: set[bytes] = field(default_factory=set)
-    gaps: set[int] = field(default_factory=set)
-    wrong: list[str] = field(default_factory=list)
-    begins: set[int] = field(default_factory=set)
-    known: dict[str, bytes] = field(default_factory=dict)
-    doubtful: dict[str, int] = field(default_factory=dict)
-    void: set[int] = field(default_factory=set)
-    restarted: bool = True
-    latest: str = ""
-    session: int = -1
-    k: int = -1
-    died: bool = False
-    lost: bool = False
-
-    def take(self, row: tuple[Any, ...], item: Item | None) -> None:
-        """Take the next row or note of the trace."""
-        latest, self.latest = self.latest, ""
-        if item is None:  # the session goes on: so does the journal
-            self.died = self.died and row[0] != self.session
-            self.session, self.k = row
-        elif isinstance(item, OtherLine):
-            if isinstance(item.line, SessionBegan):
-                self.lost = self.lost or self.died
-            elif isinstance(item.line, PowerFailed):
-                self.lost = True
+    def __init__(self, trace: Trace, plant: Trace) -> None:
+        self.trace, self._plant = trace, plant
+        self.told: list[tuple[str, bytes]] = []
+        self.delivered: list[bytes] = []
+        self.untold: set[bytes] = set()
+        self.gaps, self.begins, self.void = set[int](), set[int](), set[int]()
+        self.doubtful: dict[str, int] = {}
+        self.wrong: list[str] = []
+        self._known: dict[str, bytes] = {}
+        self._restarted, self._died = True, False  # since the last was queued; since the last step
+        self._lost = False  # maybe the journal, since the last was queued
+        self._session, self._k, latest = -1, -1, ""
+        for row, item in trace.walk("session", "k"):
+            line, newest = item.line if isinstance(item, OtherLine) else item, ""
+            if line is None:  # the session goes on: so does the journal
+                self._died = self._died and row[0] != self._session
+                self._session, self._k = row
+            elif isinstance(line, Break):
+                self._restarted = self._died = True
+                if latest and not line.ended:
+                    self.doubtful[latest] = len(self.told) - 1
+            elif isinstance(line, SessionBegan):  # met by another process
+                self._lost = self._lost or self._died
+            elif isinstance(line, PowerFailed):
+                self._lost = True
                 self.gaps.add(len(self.told))
-            elif isinstance(item.line, QueuedLine):
-                self._queued(item.event, item.line.id, item.payload)
-        elif isinstance(item, Break):
-            self.restarted = self.died = True
-            if latest and not item.ended:
-                self.doubtful[latest] = len(self.told) - 1
+            elif isinstance(item, OtherLine) and isinstance(line, QueuedLine):
+                if item.event == "delivered":
+                    self._delivered(line.id, item.payload)
+                else:
+                    newest = line.id
+                    self._sent(line.id, item.payload)
+            latest = newest
 
-    def _queued(self, event: str, name: str, payload: bytes) -> None:
-        if event == "delivered":
-            here = self.trace.sessions[self.session] if self.session >= 0 else ""
-            if not self.plant.may_lack(here, self.k):  # else its report may be lost there
-                self.delivered.append(payload)
-            if self.gaps and name not in self.known:
-                self.known[name] = payload
-                self.untold.add(payload)
-            elif self.known.get(name) != payload:
-                self.wrong.append(
-                    f"message {name} counts as delivered, and was not queued like that"
-                )
-            return
-        self.latest = name
+    def _delivered(self, name: str, payload: bytes) -> None:
+        here = self.trace.sessions[self._session] if self._session >= 0 else ""
+        if not self._plant.may_lack(here, self._k):  # else its report may be lost there
+            self.delivered.append(payload)
+        if self.gaps and name not in self._known:
+            self._known[name] = payload
+            self.untold.add(payload)
+        elif self._known.get(name) != payload:
+            self.wrong.append(f"message {name} counts as delivered, and was not queued like that")
+
+    def _sent(self, name: str, payload: bytes) -> None:
         if name in self.doubtful:
             self.void.add(self.doubtful.pop(name))
-        elif name in self.known:
-            # a controller that lost its journal is handed its messages again
-            if not self.restarted:
+        elif name in self._known:  # a controller that lost its journal is handed them again
+            if not self._restarted:
                 self.wrong.append(f"message {name} was queued twice without a restart")
             self.begins.add(len(self.told))
-            self.known = {}
-        self.restarted = self.died = self.lost = False
-        self.known[name] = payload
+            self._known = {}
+        self._restarted = self._died = self._lost = False
+        self._known[name] = payload
         self.told.append((name, payload))
 
     @property
     def newest(self) -> str:
         """The message that the journal must have as its last; empty where that cannot be told."""
-        doubtful = self.doubtful.values()
-        sure = [i for i in range(len(self.told)) if i not in self.void and i not in doubtful]
-        return "" if self.lost or not sure else self.told[sure[-1]][0]
+        unsure = self.void.union(self.doubtful.values())
+        sure = [name for at, (name, _) in enumerate(self.told) if at not in unsure]
+        return "" if self._lost or not sure else sure[-1]
 
     def following(self, place: int) -> set[int]:
         """Places of the messages that may come after the one at ``place``."""
         found, doubtful = {b for b in self.begins if b > place}, self.doubtful.values()
-        place += 1
-        while place in self.void or place in doubtful:
-            if place in doubtful:
-                found.add(place)
-            place += 1
-        return found | {place}
+        for at in range(place + 1, len(self.told)):
+            if at not in self.void:
+                found.add(at)
+                if at not in doubtful:
+                    break
+        return found
 
 
-def _in_order(e: Evidence, controller: Trace, received: list[WholeFrame]) -> Findings:
+def _in_order(e: Evidence, queue: Queue, received: list[WholeFrame]) -> Findings:
     """The recovered messages are the queued ones, in order, and those that were delivered."""
-    assert e.plant is not None
-    queue = Queue(controller, e.plant)
-    for row, item in controller.walk("session", "k"):
-        queue.take(row, item)
-    journal = e.journals["controller"]
+    told, trace, wrong, journal = queue.told, queue.trace, queue.wrong, e.journals["controller"]
     waiting = journal.waiting if isinstance(journal, JournalState) else ()
+    untold = [message for message in waiting if message not in told]
     if queue.gaps:
-        queue.untold |= {text for name, text in waiting if (name, text) not in queue.told}
+        queue.untold.update(text for _, text in untold)
+    else:
+        text = "is in the controller's journal, not in its trace"
+        wrong += [f"message {name} {text}" for name, _ in untold]
     arrived = {frame.payload for frame in received}
-    for payload in queue.delivered:
-        if payload not in arrived:
-            queue.wrong.append(f"{payload!r} counts as delivered, the plant has not recovered it")
+    text = "counts as delivered, the plant has not recovered it"
+    wrong += [f"{payload!r} {text}" for payload in queue.delivered if payload not in arrived]
     places, session = {-1}, ""  # of the last that was recovered: messages may be alike
     for frame in received:
         allowed = set().union(*map(queue.following, places))
-        if frame.session != session:
+        if frame.after_loss:  # others may have been recovered meanwhile
+            allowed |= set(range(min(places) + 1, len(told)))
+        if frame.after_loss or frame.session != session:
             allowed |= places  # received, but the session ended before the controller knew
         session = frame.session
-        told = queue.told
-        if frame.after_loss:  # others may have been recovered meanwhile
-            allowed |= places | set(range(min(places) + 1, len(told)))
-        fits = {i for i in allowed if 0 <= i < len(told) and told[i][1] == frame.payload}
-        if frame.payload in queue.untold or controller.may_lack(frame.session, frame.k):
+        fits = {i for i in allowed if i >= 0 and told[i][1] == frame.payload}
+        if frame.payload in queue.untold or trace.may_lack(frame.session, frame.k):
             fits |= {g - 1 for g in queue.gaps if g > min(places)}  # queued in what is lost
-        if fits:
-            places = fits
-        else:
+        if not fits:
             text = f"recovered {frame.payload!r}, which is not the next queued message"
             yield Finding("messages", frame.session, frame.k, text)
-    if isinstance(journal, JournalState):
-        for message in () if queue.gaps else waiting:
-            if message not in queue.told:
-                text = f"message {message[0]} is in the controller's journal, not in its trace"
-                queue.wrong.append(text)
-        newest = queue.newest
-        if newest and not controller.behind and journal.newest not in (newest, *queue.doubtful):
-            text = f"message {newest} was queued last, the controller's journal has "
-            queue.wrong.append(f"{text}{journal.newest or 'none'}")
-    for text in queue.wrong:
+        places = fits or places
+    if isinstance(journal, JournalState) and queue.newest and not trace.behind:
+        last = journal.newest
+        if last != queue.newest and last not in queue.doubtful:
+            text = f"message {queue.newest} was queued last"
+            wrong.append(f"{text}, the controller's journal has {last or 'none'}")
+    for text in wrong:
         yield Finding("messages", "", -1, text)

@@ -7,9 +7,8 @@ import numpy as np
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet
-from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
+from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings, before, columns
 from wyner.runs.check.paper import (
-    ROUNDING,
     Automata,
     Keys,
     Line,
@@ -30,10 +29,10 @@ COLUMNS: Final = (
 
 
 def paper(e: Evidence) -> Findings:
-    """Figs. 5 and 6 and their equations; at the plant (14) and (22) as well."""
+    """Figs. 5 and 6 and their equations; at the plant (22) as well."""
     if not skipped(e):
         for trace in e.ends():
-            yield from _of(e, trace)
+            yield from _figures(e, trace)
     if e.plant is not None and not e.rules.scheme.corrects:  # a key is no coin
         yield from _coin(e, e.plant)
 
@@ -45,16 +44,14 @@ def skipped(e: Evidence) -> str:
     return f"{own} is a scheme of its own, not the paper's" if own else ""
 
 
-def _of(e: Evidence, trace: Trace) -> Findings:
-    always, session = e.scenario.secrecy.scheme == "pipelined", -1
-    automata, cut = Automata(e.rules.size), trace.cut
+def _figures(e: Evidence, trace: Trace) -> Findings:
+    always, session, cut = e.scenario.secrecy.scheme == "pipelined", -1, before(trace)
+    automata = Automata(e.rules.size)
     for rows in trace.chunks(TRANSITION):
-        reached, keys = _verdicts(e, rows)
-        fields = zip(*(rows[name].tolist() for name in COLUMNS), strict=True)
-        for (number, k, cipher, *told, symbol), allowed in zip(fields, keys.tolist(), strict=True):
+        fields = zip(_keys(e, rows).tolist(), *columns(rows, *COLUMNS), strict=True)
+        for allowed, number, k, cipher, *told, symbol in fields:
             if number != session:
-                first = cut is not None and session < 0 and trace.sessions[number] == cut.session
-                p = cut.p if cut is not None and first else 0
+                p = cut.p if cut is not None and session < 0 else 0
                 automata, session = Automata(e.rules.size, tests_always=always, p=p), number
             expected = automata.step(cipher, symbol if symbol in allowed else min(allowed))
             message, key, message_symbol, p, s = told
@@ -64,36 +61,40 @@ def _of(e: Evidence, trace: Trace) -> Findings:
                 text = f"{trace.side}: (role, key, m, p, s, symbol) is {tuple(found)}"
                 where = trace.sessions[number], k
                 yield Finding("paper", *where, f"{text}, Fig. 5 gives {tuple(expected)}")
-        if trace.side == "plant" and not e.may_leave:
-            chosen = reached[np.arange(len(rows)), rows["coin"]]
-            for i in np.flatnonzero((chosen > 1 + ROUNDING) & ~e.lies(rows["k"])):
-                text = f"x(k+1) is not in Reach^c of candidate b_r = {rows[i]['coin']}, (14)"
-                yield Finding("paper", *trace.where(rows[i]), text)
 
 
-def _verdicts(e: Evidence, rows: Rows) -> tuple[Array, Keys]:
-    """How much D_c must grow about each candidate's centre, and the keys that this allows."""
+def reached(e: Evidence, rows: Rows) -> Array:
+    """How much the test's set must grow about each candidate's centre for x(k+1) to be in it."""
     s, o = e.scenario, e.scenario.observer
-    H, h = _rows(s.defender.disturbance)
-    room = max(s.secrecy.alpha - 1, TINY)
-    if o is not None:
-        A, B, C = np.array(o.A), np.array(o.B), np.array(o.C)
-        D_c, N = np.array(o.disturbance), np.array(o.noise)
-        reached = output_scale(A, B, C, rows["box"], rows["candidates"], D_c, N, rows["x_next"])
-        centres = rows["candidates"] @ B.T
-    else:
-        A, B = np.array(s.A), np.array(s.B)
-        linear = not e.rules.predicted
-        centres = f_c(A, B, rows["x"], rows["candidates"]) if linear else rows["predictions"]
-        reached = scale(*_rows(s.test_set), rows["x_next"], centres)
-    if s.defender.noise is not None:  # what is possible for her is said by the offer
-        hers = np.max([scale(H, room * h, c, centres) for c in centres.swapaxes(0, 1)], axis=0)
-    else:
-        hers = scale(*_rows(s.eavesdropper_set), rows["x_next"], centres)
-    return reached, key_symbols(reached, hers)
+    if o is None:
+        return scale(*rows_of(s.test_set), rows["x_next"], _centres(e, rows))
+    A, B, C, D_c, N = map(np.array, (o.A, o.B, o.C, o.disturbance, o.noise))
+    return output_scale(A, B, C, rows["box"], rows["candidates"], D_c, N, rows["x_next"])
 
 
-def _rows(allowed: ConvexSet) -> tuple[Array, Array]:
+def _centres(e: Evidence, rows: Rows) -> Array:
+    """Where each candidate leads without a disturbance; of outputs, from a state of zero."""
+    if e.rules.predicted:
+        return np.asarray(rows["predictions"])
+    if e.scenario.observer is not None:
+        return np.asarray(rows["candidates"] @ np.array(e.scenario.observer.B).T)
+    return f_c(np.array(e.scenario.A), np.array(e.scenario.B), rows["x"], rows["candidates"])
+
+
+def _keys(e: Evidence, rows: Rows) -> Keys:
+    """The keys that equations (20) to (22) allow."""
+    s, centres = e.scenario, _centres(e, rows)
+    if s.defender.noise is None:
+        hers = scale(*rows_of(s.eavesdropper_set), rows["x_next"], centres)
+    else:  # what is possible for her is said by the offer
+        H, h = rows_of(s.defender.disturbance)
+        room = max(s.secrecy.alpha - 1, TINY) * h
+        hers = np.max([scale(H, room, c, centres) for c in centres.swapaxes(0, 1)], axis=0)
+    return key_symbols(reached(e, rows), hers)
+
+
+def rows_of(allowed: ConvexSet) -> tuple[Array, Array]:
+    """A set as (H, h)."""
     H, h = allowed.rows()
     return np.array(H), np.array(h)
 

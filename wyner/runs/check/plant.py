@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from protocol.arrays import Array
-from protocol.box_observer import Box
 from protocol.convex import Polytope
+from protocol.scenario import ConvexSet
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
+from wyner.runs.check.opinion import reached, rows_of
 from wyner.runs.check.paper import f_c, scale
 from wyner.runs.lines import INTERRUPTED, TRANSITION, AttackLine, Break
 from wyner.runs.trace import AT_ONCE, Rows, Trace
@@ -23,18 +24,17 @@ FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
 
 
-def plant(e: Evidence) -> Findings:
+def plant(e: Evidence, trace: Trace) -> Findings:
     """Each step begins where the last ended, applies candidate b_r, and leads into Reach^c."""
-    trace = e.plant
-    if trace is None:
-        return
     breaks = [note.at for note in trace.notes if isinstance(note.item, Break)]
     for first in range(0, len(trace.rows), AT_ONCE):
-        rows = trace.rows[first : first + AT_ONCE]
-        at = np.arange(first, first + len(rows))
-        part = Part(rows, trace.rows[:first][-1:], np.isin(at, breaks), np.isin(at, [*trace.gaps]))
+        at = np.arange(first, min(first + AT_ONCE, len(trace.rows)))
+        rows, before = trace.rows[at], trace.rows[np.maximum(at - 1, 0)]
+        if first == 0:
+            _begin(e, trace, before[:1])
+        part = Part(rows, before, np.isin(at, breaks), np.isin(at, [*trace.gaps]))
         for i, text in (
-            *_begins(e, trace, part),
+            *_begins(e, part),
             *_applied(rows),
             *_unlabelled(e, trace, part),
             *_leads(e, part),
@@ -46,7 +46,7 @@ def plant(e: Evidence) -> Findings:
 
 
 class Part(NamedTuple):
-    """Some rows of the plant's trace, and the one before them, if any.
+    """Some rows of the plant's trace, and the one before each.
 
     Before ``new`` rows another process began to write; before ``lost`` rows lines may be lost.
     """
@@ -61,24 +61,36 @@ Wrong = Iterator[tuple[int, str]]
 """Numbers of rows in a part, and what is wrong with them."""
 
 
-def _begins(e: Evidence, trace: Trace, part: Part) -> Wrong:
+def _begin(e: Evidence, trace: Trace, first: Rows) -> None:
+    """Make of the first row the one before it, which is of no session."""
+    x, k = _initial(e), -1
+    if trace.cut is not None:
+        x, k = trace.cut.x_next, trace.cut.k
+    first["session"], first["k"], first["x_next"] = -1, k, first["x"] if x is None else x
+    if _tells_truth(first):
+        first["true_x"] = np.nan
+
+
+def _initial(e: Evidence) -> Any:
+    """x(0); None where no scenario states it, and where a noisy sensor reads something else."""
+    plant = e.scenario.plant
+    return plant.initial_state if plant.noise is None and plant.initial_state else None
+
+
+def _tells_truth(rows: Rows) -> bool:
+    return "true_x" in (rows.dtype.names or ())
+
+
+def _begins(e: Evidence, part: Part) -> Wrong:
     """Steps that do not begin where the last ended."""
-    rows, initial = part.rows, _initial(e)
-    if len(part.before):
-        ((session, place, x),) = part.before[["session", "k", "x_next"]].tolist()
-        place += 1
-    elif trace.cut is not None:
-        session, place, x = -1, trace.cut.k + 1, trace.cut.x_next
-    else:
-        session, place, x = -1, 0, rows["x"][0] if initial is None else initial
-    begun = rows["session"] != np.append(session, rows["session"][:-1])
-    k, places = rows["k"], np.append(place, rows["k"][:-1] + 1)
-    ends = np.vstack([x, rows["x_next"][:-1]])
+    rows, initial, k = part.rows, _initial(e), part.rows["k"]
+    places, ends = part.before["k"] + 1, part.before["x_next"]
+    begun = rows["session"] != part.before["session"]
     again = begun & (k == 0) & (places > 0)  # without a journal
     # lines were lost with the power, or its journal was an older copy
-    free = begun & ~again & (part.lost | (k < places) & part.new)
-    places = np.where(again, 0, np.where(free, k, places))
-    ends = np.where((again | free)[:, None], rows["x"], ends)
+    free = again | begun & (part.lost | (k < places) & part.new)
+    places = np.where(free, k, places)
+    ends = np.where(free[:, None], rows["x"], ends)
     if initial is not None:
         ends[again] = initial
     away = ~(np.abs(rows["x"] - ends).max(axis=1) <= FOLLOWS)
@@ -87,12 +99,6 @@ def _begins(e: Evidence, trace: Trace, part: Part) -> Wrong:
             yield i, f"expected step k = {places[i]}"
         else:
             yield i, f"begins at x = {rows['x'][i].tolist()}, the last ended at {ends[i].tolist()}"
-
-
-def _initial(e: Evidence) -> Any:
-    """x(0); None where no scenario states it, and where a noisy sensor reads something else."""
-    plant = e.scenario.plant
-    return plant.initial_state if plant.noise is None and plant.initial_state else None
 
 
 def _applied(rows: Rows) -> Wrong:
@@ -105,67 +111,47 @@ def _applied(rows: Rows) -> Wrong:
 
 
 def _leads(e: Evidence, part: Part) -> Wrong:
-    """Steps whose end the input in force does not explain."""
+    """Steps whose end the input in force does not explain, as it was read or in truth."""
+    rows, rules, noisy = part.rows, e.rules, e.scenario.plant.noise is not None
     if e.may_leave:
         return
-    rows = part.rows
-    known = told = np.zeros(len(rows), bool)
-    x, u, after = rows["x"], rows["u"], rows["x_next"]
-    if "true_x" in (rows.dtype.names or ()):
-        told = ~np.isnan(rows["true_x"][:, 0])
-        truth = np.vstack([part.before["true_x"], rows["true_x"]])[: len(rows)]
-        if not len(part.before):
-            truth = np.vstack([truth[:1] * np.nan, truth[:-1]])
-        truth[part.lost] = np.nan
-        known = ~np.isnan(truth[:, 0])
-        u = np.where(told[:, None], rows["true_u"], u)
-        if e.rules.outputs is None:
-            x = np.where((known & told)[:, None], truth, x)
-            after = np.where(told[:, None], rows["true_x"], after)
-        else:
-            x, after = truth, rows["true_x"]
-            yield from _unheld(rows, truth, known)
-    gauges = _gauges(e, rows, x, u, after, told, known)
+    if rules.predicted or rules.outputs is not None:
+        led = reached(e, rows)[np.arange(len(rows)), np.maximum(rows["coin"], 0)]
+        known = rows["kind"] == TRANSITION
+    else:
+        led = _led(e, e.scenario.test_set, rows["x"], rows["u"], rows["x_next"])
+        known = rows["kind"] != INTERRUPTED
+    gauges = np.where(known & ~e.lies(rows["k"]), led, np.nan)
+    if _tells_truth(rows) and not rules.predicted:
+        truth = part.before["true_x"]
+        truth[part.lost | (rows["k"] != part.before["k"] + 1)] = np.nan
+        if rules.outputs is not None:
+            yield from _unheld(rows, truth)
+        elif not noisy:
+            truth = np.where(np.isnan(truth), rows["x"], truth)
+        led = _led(e, e.scenario.defender.disturbance, truth, rows["true_u"], rows["true_x"])
+        gauges = np.fmax(gauges, np.where(rows["kind"] != INTERRUPTED, led, np.nan))
     for i in np.flatnonzero(gauges > 1 + EDGE).tolist():
         yield i, f"x(k+1) is outside Reach^c of the applied input: gauge {gauges[i]:.6g}"
 
 
-def _gauges(
-    e: Evidence, rows: Rows, x: Array, u: Array, after: Array, told: Any, known: Any
-) -> Array:
-    """How far each step's end is from where its input led; no number where nobody knows."""
-    at = np.arange(len(rows))
-    counted = rows["kind"] == TRANSITION
-    chosen = (rows["candidates"][at, np.maximum(rows["coin"], 0)] == rows["u"]).all(axis=1)
-    traced = np.where(counted & chosen, rows["gauges"][at, np.maximum(rows["coin"], 0)], np.nan)
-    if e.rules.predicted:
-        return np.where(told | e.lies(rows["k"]), np.nan, traced)
-    noisy = e.scenario.plant.noise is not None
-    test = [np.array(v) for v in e.scenario.test_set.rows()]
-    alone = [np.array(v) for v in e.scenario.defender.disturbance.rows()]
-    A, B = np.array(e.scenario.A), np.array(e.scenario.B)
-    ends = f_c(A, B, x, u[:, None])
-    read = scale(test[0], test[1], after, ends)[:, 0] if e.rules.outputs is None else traced
-    state = scale(alone[0], alone[1], after, ends)[:, 0]
-    computed = np.where(noisy & known & told, state, read)
-    silent = np.where(e.lies(rows["k"]), np.nan, np.where(np.isnan(traced), read, traced))
-    found: Array = np.where(told, computed, silent)
-    found[rows["kind"] == INTERRUPTED] = np.nan
-    return found
+def _led(e: Evidence, allowed: ConvexSet, x: Array, u: Array, x_next: Array) -> Array:
+    """How much a set of disturbances must grow for each input to lead to x(k+1)."""
+    ends = f_c(np.array(e.scenario.A), np.array(e.scenario.B), x, u[:, None])
+    return scale(*rows_of(allowed), x_next, ends)[:, 0]
 
 
-def _unheld(rows: Rows, truth: Array, known: Flags) -> Wrong:
+def _unheld(rows: Rows, truth: Array) -> Wrong:
     """Transitions whose state was not in the box that both ends had."""
-    low, high = rows["box"][:, 0], rows["box"][:, 1]
-    outside = ((truth < low) | (truth > high)).any(axis=1) & known & (rows["kind"] == TRANSITION)
-    for i in np.flatnonzero(outside).tolist():
+    outside = (truth < rows["box"][:, 0]) | (truth > rows["box"][:, 1])
+    for i in np.flatnonzero(outside.any(axis=1) & (rows["kind"] == TRANSITION)).tolist():
         yield i, f"x(k) = {truth[i].tolist()} is not in the box that both ends have"
 
 
 def _unlabelled(e: Evidence, trace: Trace, part: Part) -> Wrong:
     """Steps of an attacked plant whose labels cannot be."""
     rows, attack = part.rows, trace.attack
-    if attack is None or attack.at == "bus" or "true_x" not in (rows.dtype.names or ()):
+    if attack is None or attack.at == "bus" or not _tells_truth(rows):
         return
     silent = np.isnan(rows["true_x"][:, 0])  # with a process died what was the truth before it
     lied = (rows["true_x"] != rows["x_next"]).any(axis=1) & (e.scenario.plant.noise is None)
@@ -174,14 +160,12 @@ def _unlabelled(e: Evidence, trace: Trace, part: Part) -> Wrong:
         lied &= rows["k"] + 1 < attack.onset
     if attack.at == "actuator":
         turned &= rows["k"] < attack.onset
-    first = np.arange(len(rows)) == (0 if len(part.before) == 0 else -1)
-    lacking = silent & (rows["kind"] != INTERRUPTED) & ~part.new & ~first
-    for i in np.flatnonzero(lacking).tolist():
+    begins = part.new | (part.before["session"] == -1)
+    for i in np.flatnonzero(silent & (rows["kind"] != INTERRUPTED) & ~begins).tolist():
         yield i, "no truth, of an attacked plant"
-    for i in np.flatnonzero(~silent & (lied | turned)).tolist():
-        said, true = ("reported x(k+1)", "x") if lied[i] else ("chose u", "u")
-        shown = rows["x_next" if lied[i] else "u"][i].tolist()
-        yield i, f"{said} = {shown}, the truth is {rows[f'true_{true}'][i].tolist()}"
+    for name, true, wrong in (("x_next", "true_x", lied), ("u", "true_u", turned)):
+        for i in np.flatnonzero(wrong & ~silent).tolist():
+            yield i, f"{name} is {rows[name][i].tolist()}, the truth is {rows[true][i].tolist()}"
 
 
 def unlike_manifest(attack: AttackLine | None, said: object) -> str:
@@ -200,6 +184,7 @@ def admissible(e: Evidence) -> Findings:
 
     trace = e.controller or e.plant
     assert trace is not None
+    own = trace is e.controller  # what the plant was offered may be Eve's
     try:
         design = cached_design(e.scenario)
     except SynthesisError as error:
@@ -207,15 +192,8 @@ def admissible(e: Evidence) -> Findings:
         return
     law = make_law(e.scenario, design)
     for offered in trace.chunks(TRANSITION):
-        own = trace.side == "controller"  # what the plant was offered may be hers
         rows = offered if own else offered[~e.rewrites(offered["k"])]
-        X = (
-            rows["x"]
-            if e.rules.outputs is None
-            else np.array(
-                [Box(*(tuple(edge) for edge in box)).centre for box in rows["box"].tolist()]
-            )
-        )
+        X = rows["x"] if e.rules.outputs is None else rows["box"].sum(axis=1) / 2
         of: dict[int, list[int]] = {}
         for i, x in enumerate(map(tuple, X.tolist())):
             try:
@@ -223,31 +201,26 @@ def admissible(e: Evidence) -> Findings:
             except LookupError as error:
                 yield Finding("admissible", *trace.where(rows[i]), str(error))
         for index, places in of.items():
-            for i, text in _of_set(e, index, X[places], rows["candidates"][places], design, law):
-                yield Finding("admissible", *trace.where(rows[places[i]]), text)
+            U = rows["candidates"][places]
+            for excess, text in _excesses(e, index, X[places], U, design, law):
+                for i, m in np.argwhere(~(excess <= EDGE)):
+                    said = f"candidate {m} {text.format(excess[i, m])}"
+                    yield Finding("admissible", *trace.where(rows[places[i]]), said)
 
 
-def _of_set(
+def _excesses(
     e: Evidence, index: int, X: Array, U: Array, design: "Design", law: "CandidateLaw"
-) -> list[tuple[int, str]]:
-    """Candidates of states whose smallest set is T_i that are beyond what (27) allows."""
+) -> Iterator[tuple[Array, str]]:
+    """How far candidates are beyond what (27) allows where a state's smallest set is T_i."""
     from controller_service.sets.design import candidate_target
 
     s, K = e.scenario, law.gain(index)
     if K is not None:
-        away = abs((X @ K.T)[:, None] - U).max(axis=2)
-        return _beyond(away, "is {:.3g} away from K x inside T_0")
-    target = Polytope(*candidate_target(design, s, max(index - 1, 0)))
-    inputs = Polytope.from_rows(*s.control.inputs.rows())
+        yield abs((X @ K.T)[:, None] - U).max(axis=2), "is {:.3g} away from K x inside T_0"
+        return
+    lower = max(index - 1, 0)
+    H, h = candidate_target(design, s, lower)
     ends = f_c(np.array(s.A), np.array(s.B), X, U)
-    found = _beyond(
-        (ends @ target.H.T - target.h).max(axis=2),
-        f"leads {{:.3g}} beyond T_{max(index - 1, 0)} ~ D_c",
-    )
-    return found + _beyond((U @ inputs.H.T - inputs.h).max(axis=2), "is {:.3g} beyond U")
-
-
-def _beyond(excess: Array, text: str) -> list[tuple[int, str]]:
-    """Candidates with an excess, shape (transitions, M), by the transition's number."""
-    places = np.argwhere(~(excess <= EDGE)).tolist()
-    return [(i, f"candidate {m} {text.format(excess[i, m])}") for i, m in places]
+    yield (ends @ H.T - h).max(axis=2), f"leads {{:.3g}} beyond T_{lower} ~ D_c"
+    inputs = Polytope.from_rows(*s.control.inputs.rows())
+    yield (U @ inputs.H.T - inputs.h).max(axis=2), "is {:.3g} beyond U"
