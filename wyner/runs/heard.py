@@ -27,18 +27,12 @@ TOLD: Final = frozenset(
 class CapturedMessage(NamedTuple):
     """A line of the capture that holds a message; ``raw`` is the message as it travels."""
 
-    part: str
-    number: int
+    where: str
     raw: bytes
     topic: str
     session: str
     k: int
     message: dict[str, Any]
-
-    @property
-    def where(self) -> str:
-        """The line's place."""
-        return f"{self.part} line {self.number}"
 
 
 class CaptureLines:
@@ -99,17 +93,17 @@ class CaptureLines:
 
     def _message(self, part: Path, number: int, value: dict[str, Any]) -> CapturedMessage | None:
         kind, message = value.get("event"), value.get("message")
+        where = f"{part.name} line {number}"
         field = kind == "field" and value.keys() == {"event", "t_ns", "topic", "message"}
         self.lines[number_of(part)] += field or kind == "malformed"
         if not field or not isinstance(message, dict):
             text = "no message" if field else f"event {kind!r}"
             text = _malformed(value) if kind == "malformed" else text
-            self.strange.append(Problem(f"{part.name} line {number}", text))
+            self.strange.append(Problem(where, text))
             return None
         k, session = message.get("k"), message.get("session")
         return CapturedMessage(
-            part.name,
-            number,
+            where,
             to_json(message),
             str(value.get("topic")),
             session if isinstance(session, str) else "",

@@ -46,11 +46,8 @@ _MODELS: Final = {kind.topic: kind for kind in FIELD}
 _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
-_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
-_STREAM: Final = re.compile(rb',"(?:keyed|stream_block|stream_at)":(?:true|false|-?[0-9]+)')
-_BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
-_AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
-_DIGITS: Final = b"0123456789abcdef.+-"
+_COUNTED: Final = frozenset({"block", "keyed", "stream_block", "stream_at"})
+"""Fields that follow from what was counted, which is public, and look as they may."""
 
 Heard = tuple[CapturedMessage, Measurement | Offer]
 
@@ -204,7 +201,7 @@ class Steps:
         """Note what a message of a transition looks like, which carried or tested."""
         if isinstance(message, Measurement) and message.applied_k == -1:
             return  # a session's first has no x_after yet, in state 1 always
-        self._looks[line.topic, carries].setdefault(_shape(line.raw), line)
+        self._looks[line.topic, carries].setdefault(_shape(line.message), line)
 
     def telling(self) -> Findings:
         """Messages that look as none of their kind does in the other automaton state."""
@@ -219,15 +216,13 @@ def _at(line: CapturedMessage, rule: str, text: str) -> Finding:
     return Finding(rule, line.session, line.k, f"{line.where}: {text}")
 
 
-def _shape(raw: bytes) -> tuple[bytes, int]:
-    """A message's names, lengths and kinds of value: all that is left without digits.
-
-    Of a nonce and a tag that is their length; which block was announced last and which digits an
-    offer has follow from what was counted, and that is public.
-    """
-    keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
-    keyless = _STREAM.sub(b"", _BLOCK.sub(b"", keyless, 1))
-    return keyless.translate(None, _DIGITS), raw.count(b"[]")
+def _shape(message: dict[str, Any]) -> tuple[Any, ...]:
+    """A message's names in their order, and how long or of which kind each value is."""
+    kinds = message | dict.fromkeys(_COUNTED & message.keys())
+    return tuple(
+        (name, len(value) if isinstance(value, list | str) else type(value))
+        for name, value in kinds.items()
+    )
 
 
 class Seen:
