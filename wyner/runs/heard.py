@@ -24,7 +24,7 @@ class CaptureHeader(BaseModel):
     model_config = STRICT
 
     event: Literal["header"]
-    part: int = 0
+    part: int
     oldest: Literal[0] = 0
     format: Literal["wyner-trace"]
     version: Literal[2]
@@ -98,7 +98,7 @@ class CaptureLines:
                         yield seen
 
     def _headed(self, part: Path, marks: Segments, number: int, header: dict[str, Any]) -> None:
-        if header.get("part", 0) != number_of(part):
+        if header.get("part") != number_of(part):
             marks.problem(number, f"part: got {header.get('part')!r}")
         try:
             view = CaptureHeader.model_validate_json(to_json(header)).view

@@ -75,6 +75,7 @@ def bus(e: Evidence, capture: CaptureLines) -> Findings:
             yield from steps.compare(part)
     if steps is not None:
         yield from steps.telling()
+    del steps  # what follows needs its room
     yield from seen.twice(blurred=capture.blurred)
     for where, text in capture.strange:
         yield Finding("bus", "", -1, f"{where}: neither Measurement nor Offer ({text})")
@@ -88,7 +89,8 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
         return f"on {topic!r}"
     if rules.digits:
         allowed |= OF_STREAM[topic]
-    if unlike := sorted(line.message.keys() ^ allowed):
+    told = {name for name, value in line.message.items() if value is not None}
+    if unlike := sorted((line.message.keys() ^ allowed) | (allowed - told)):
         return f"{topic} with a field too many, or one too few: {', '.join(unlike)}"
     try:
         message: Measurement | Offer = _MODELS[topic].model_validate_json(line.raw, strict=True)
@@ -101,8 +103,7 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
         fits = len(message.candidates) == rules.size and message.cipher < rules.size
         fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
         fits = fits and not rules.malformed_predictions(message.predictions)
-        named = (message.stream_block, message.stream_at)
-        fits = fits and (not rules.digits or None not in named) and max(message.position) < 1 << 31
+        fits = fits and max(message.position) < 1 << 31
     if not fits or message.k >= 1 << 31:
         return f"{topic} is not of this plant's shape"
     if rules.schedule is None:
@@ -249,19 +250,21 @@ class Seen:
 
     def twice(self, *, blurred: bool) -> Findings:
         """Messages that are unlike another of their number, and what serves or leaves twice."""
-        numbers, looks, nonces, named, positions = (
-            np.frombuffer(kept, np.int64)
-            for kept in (self._numbers, self._looks, self._nonces, self._named, self._positions)
-        )
-        if not blurred:
-            before, after = _again(numbers >> 1)
-            unlike = numbers[after[looks[before] != looks[after]]]
-            yield from self._told("wire", unlike, "differs from another of that number")
+        numbers = np.frombuffer(self._numbers, np.int64)
         if self._keys:
-            twice = numbers[_again(nonces)[1]]
+            twice = numbers[_again(np.frombuffer(self._nonces, np.int64))[1]]
             yield from self._told("once", twice, "carries a nonce that was there before")
+            self._nonces = array("q")
             first = numbers[numbers & 1 == 1]
             yield from self._told("once", first[_again(first)[1]], "is a second copy 0")
+            del first
+        if not blurred:
+            before, after = _again(numbers >> 1)
+            looks = np.frombuffer(self._looks, np.int64)
+            unlike = numbers[after[looks[before] != looks[after]]]
+            yield from self._told("wire", unlike, "differs from another of that number")
+        named = np.frombuffer(self._named, np.int64)
+        positions = np.frombuffer(self._positions, np.int64)
         order = np.argsort(named, kind="stable")
         number, place = named[order], positions[order]
         further, same = np.diff(place), np.diff(number) == 0
@@ -278,5 +281,6 @@ class Seen:
 def _again(values: Indices) -> tuple[Indices, Indices]:
     """Places of values that stood at an earlier place, the newest of which comes first."""
     order = np.argsort(values, kind="stable")
-    same = values[order[1:]] == values[order[:-1]]
+    ordered = values[order]
+    same = ordered[1:] == ordered[:-1]
     return order[:-1][same], order[1:][same]
