@@ -7,6 +7,7 @@ import shutil
 import signal
 import sys
 import tempfile
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,8 +20,6 @@ from controller_service.sets.design import synthesise
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
 from tests.support.size import WHOLE
-
-TESTS = Path(__file__).parent
 
 # A busy machine is no failure: examples have no time limit, a test has pytest's.
 settings.register_profile("wyner", deadline=None, print_blob=True)
@@ -56,39 +55,6 @@ def pytest_xdist_auto_num_workers() -> int:
     return (os.cpu_count() or 1) + 1
 
 
-LONGEST = (
-    "tap/test_text.py",
-    "campaigns/test_campaigns.py",
-    "studies/test_figures.py",
-    "system/test_integration.py",
-    "campaigns/test_exhaustive.py",
-    "tap/test_ladder.py",
-    "cli/test_demo.py",
-    "fit/test_fit.py",
-    "tap/test_outputs.py",
-    "house/test_package.py",
-    "simulate/test_network.py",
-    "fit/test_noisy_fit.py",
-    "runs/test_memory.py",
-    "benchmarks/test_loop.py",
-    "controller/test_packed.py",
-    "examples/test_examples.py",
-    "protocol/test_statistics.py",
-    "simulate/test_engine_system.py",
-    "adapters/test_device.py",
-    "simulate/test_packed_link.py",
-    "sweeps/test_sweep.py",
-    "system/test_leaks.py",
-    "benchmarks/test_pace.py",
-    "system/test_network_table.py",
-    "link/test_session_machine.py",
-    "attacker/test_live.py",
-    "system/test_services.py",
-    "runtime/test_fleet.py",
-)
-"""Files that take longest go first: at the end no process then waits for another one's file."""
-
-
 def pytest_collection(session: pytest.Session) -> None:
     """Import a share of the files first: what one process has compiled, the others read."""
     worker = getattr(session.config, "workerinput", None)
@@ -116,8 +82,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(1800))
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+    # At the end no process then waits for another one's file of long tests.
+    long = Counter(item.path for item in items if item.get_closest_marker("long"))
+    items.sort(key=lambda item: -long[item.path])
 
 
 @pytest.fixture(scope="session", autouse=True)

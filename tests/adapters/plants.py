@@ -17,9 +17,8 @@ from plant_service.adapters.ode import Ode
 from protocol.agreement import NO_SYMBOL, Gauge
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.support.safety import violations
+from tests.simulate.beside import through_deaths_and_losses
 from wyner.simulate.faults import Faults
-from wyner.simulate.network import Simulation
 
 A = ((1.0, 1.0), (0.0, 1.0))
 B = ((0.5,), (1.0,))
@@ -168,26 +167,11 @@ def lives_of(
 
 
 def through_deaths(scenario: Scenario, own: Callable[[], PlantAdapter]) -> None:
-    """One message arrives exactly once and no key is wrong, over deaths and losses; seeds 0 to 2.
+    """One message arrives exactly once and no key is wrong, over deaths and losses.
 
     A step counts only where its plant was put back where it started.
     """
-    for seed in range(3):
-        both = Simulation(
-            scenario,
-            law_of(scenario),
-            seed=seed,
-            payloads=(b"one",),
-            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
-            step_s=1.0,
-            own=own,
-        )
-        history = both.run(
-            seconds=4000,
-            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
-        )
-        assert list(violations(history, (b"one",))) == []
-        assert history.inbox == [b"one"]
-        assert history.crashes > 0
+    faults = Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0)
+    for history in through_deaths_and_losses(scenario, law_of(scenario), faults, 1.0, own=own):
         wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
         assert not wrong

@@ -23,7 +23,7 @@ from protocol.agreement import AgreementResult
 from protocol.link.effects import Effects, Publish, Save, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.step import Begun
+from protocol.link.step import IDLE, Begun, Read
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
@@ -36,7 +36,7 @@ from runtime.logs import logger
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device
-from tests.support.journals import NO_STEP, plant_journal, step_of
+from tests.support.journals import plant_journal
 from tests.support.mail import mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.told import log_of
@@ -174,7 +174,7 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(chain((begun,), effects))
     assert bench.device.calls == ["save", "apply"]
-    assert step_of(bench.journal) == (offer, coin, None)
+    assert bench.journal.load().step == begun.step
     bench.do(bench.endpoint.wake(0.9))
     assert "sample" not in bench.device.calls
     bench.published.clear()
@@ -183,7 +183,7 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     (report,) = bench.published
     measurement = Measurement.model_validate_json(report.payload)
     assert (measurement.k, measurement.applied_k) == (1, 0)
-    assert step_of(bench.journal) == (offer, coin, measurement)
+    assert bench.journal.load().step == Read(offer, coin, measurement)
     assert measurement.x == tuple(v / 2 for v in bench.device.y)
     assert bench.record.link.transitions == 1
     assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
@@ -214,8 +214,9 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     device = Device()
     bench = Bench(device)
     bench.do(bench.offer(0.2))  # applied, and then the process dies
-    offer, coin, _ = step_of(bench.journal)
-    assert offer is not None
+    begun = bench.journal.load().step
+    assert isinstance(begun, Begun)
+    offer, coin = begun
     session = bench.record.session.id
     back = Bench(Device(), bench.journal)
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
@@ -245,20 +246,21 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     """What is saved while a device acts names the step: after a death its input is not made up."""
     bench = Bench(Device(), fallback=fallback)
     bench.do(bench.offer(0.2))
-    chosen = offer, coin, _ = step_of(bench.journal)
-    assert offer is not None
+    begun = bench.journal.load().step
+    assert isinstance(begun, Begun)
+    offer, coin = begun
     if ends:
         bench.refuse(0.5)
     else:
         bench.greet(0.5)
-    assert step_of(bench.journal) == chosen
+    assert bench.journal.load().step == begun
     session = bench.record.session.id
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert (event.session, event.coin) == (session, coin)
     assert event.u == offer.candidates[coin] != (0.0,)
     assert (back.record.link.transitions, back.record.applied.missed) == (0, 1)
-    assert step_of(back.journal) == NO_STEP
+    assert back.journal.load().step is IDLE
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
     assert (

@@ -28,7 +28,7 @@ from protocol.link.effects import (
     Show,
     Tell,
 )
-from protocol.link.events import Alarm, Event, SessionBegan
+from protocol.link.events import Event, SessionBegan
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.link.step import Read
 from protocol.messages import Measurement, Message, Offer
@@ -50,6 +50,7 @@ from tests.support.line import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
+from tests.support.once import honest
 from tests.support.safety import first_held
 from wyner.simulate.network import reported
 
@@ -64,10 +65,6 @@ LONG_S: Final = 10.0
 """Longer than any silence after which an end does something else."""
 
 JUST_NOW_S: Final = 0.001
-
-
-class Broken(AssertionError):
-    """A safety property does not hold."""
 
 
 class Doing(NamedTuple):
@@ -260,19 +257,17 @@ class End:
             place = self.view.received
             self.again = received in PAYLOADS[:place]
             if not self.again:
-                if PAYLOADS[place:][:1] != (received,):
-                    raise Broken(f"{received!r} arrived, and was not sent")
+                assert PAYLOADS[place:][:1] == (received,), f"{received!r} was never sent"
                 self.view = self.view._replace(received=place + 1)
 
     def _take(self, session: str, k: int, position: Position) -> None:
         """A step takes digits; they lie beyond those of all before it, and are always the same."""
         before = self._taken[-1]
         if (session, k) == (before.session, before.k):
-            if position != before.position:
-                raise Broken(f"step {k} took digits at {before.position} and at {position}")
-        elif session == before.session and position < before.end(self.rules.digits):
-            raise Broken(f"a digit at {position} is for two steps")
+            assert position == before.position, f"step {k} took digits at two positions"
         else:
+            free = session != before.session or position >= before.end(self.rules.digits)
+            assert free, f"a digit at {position} is for two steps"
             self._taken = (*self._taken[1:], Taken(session, k, position))
 
     def _publish(self, message: Message) -> None:
@@ -285,20 +280,16 @@ class End:
         topic, at = message.topic, (message.session, message.k)
         dummy = ""
         if self.rules.schedule is not None and message.copy_number == 1:
-            if message.nonce not in self._nonces:
-                raise Broken(f"{topic} {message.k}: a copy 1 whose nonce was drawn before")
+            assert message.nonce in self._nonces, f"{topic} {message.k}: a nonce drawn before"
             dummy = DUMMY  # it means nothing to anybody, so one will do for all
         elif self.rules.schedule is not None:
-            if at == self._first.get(topic):
-                raise Broken(f"{topic} {message.k}: copy 0 left twice")
+            assert at != self._first.get(topic), f"{topic} {message.k}: copy 0 left twice"
             self._first[topic] = at
         plain = message.model_copy(update={"copy_number": 0, "nonce": ""})
         before = self._said.get(topic)
         if before is not None and before.session == message.session and before.k >= message.k:
-            if before.k > message.k:
-                raise Broken(f"{topic} {message.k} was sent after {before.k}")
-            if before != plain:
-                raise Broken(f"{topic} {message.k} was sent in two versions")
+            assert before.k == message.k, f"{topic} {message.k} was sent after {before.k}"
+            assert before == plain, f"{topic} {message.k} was sent in two versions"
         self._said[topic] = plain
         if isinstance(message, Offer):
             self._offered(message)
@@ -313,10 +304,9 @@ class End:
         assert isinstance(self.endpoint, ControllerCore)
         j = reported(self.endpoint)
         for session, known, cipher in self._ciphers:
-            if (session, known) == (offer.session, j) and cipher != offer.cipher:
-                raise Broken(f"transition {j} was offered ciphers {cipher} and {offer.cipher}")
-            if session == offer.session and j < known - 1:
-                raise Broken(f"transition {j} was offered after transition {known}")
+            if session == offer.session:
+                assert j != known or cipher == offer.cipher, f"transition {j}: two ciphers"
+                assert j >= known - 1, f"transition {j} was offered after transition {known}"
         this = (offer.session, j, offer.cipher)
         if this not in self._ciphers:
             self._ciphers = (*self._ciphers, this)[-2:]
@@ -325,37 +315,30 @@ class End:
         """Note what it has counted; a transition is counted in one version only, and in order."""
         if self.device is not None:
             self.device.look(event, alive=not self._starting)
-        if isinstance(event, Alarm) and event.reason != "unwatched":  # the stream was dry
-            raise Broken(f"transition {event.j} made an alarm, and nobody attacks: {event.reason}")
+        honest(event)
         if isinstance(event, BlockEnded):
-            if event.what == "unequal":
-                raise Broken("the two ends hold different key blocks")
             self.confirmed |= event.what == "confirmed"
         counted = self.view.counted
         if isinstance(event, SessionBegan) and counted:
             self.ended = event.session != counted[-1].session
         if not isinstance(event, CountedTransition):
             return
-        if event.refused:
-            raise Broken("a frame was refused")
         mine = event.shared
         self.watched = event.expected != NO_SYMBOL
         self.news.append(mine)
         if mine in counted:
             return
         last = counted[-1] if counted and counted[-1].session == mine.session else None
-        if mine.j != (0 if last is None else last.j + 1):
-            raise Broken(
-                f"transition {mine.j} was counted after {None if last is None else last.j}"
-            )
+        follows = 0 if last is None else last.j + 1
+        assert mine.j == follows, f"transition {mine.j} was counted, and {follows} was not"
         window = 2 if self.side == "plant" else 1
         self.view = self.view._replace(counted=(*counted, mine)[-window:])
 
     def _extract(self, block: ClosedBlock) -> None:
         """A block waits to be extracted; a nonce counts once, and a copy 1's never."""
         nonces = {*block.nonces, base64.b64decode(DUMMY)}
-        if len(nonces) != block.counted + 1:
-            raise Broken(f"block {block.number} counts a nonce twice, or a copy 1's")
+        once = len(nonces) == block.counted + 1
+        assert once, f"block {block.number} counts a nonce twice, or a copy 1's"
         self.tasks.append(block)
 
     # --- what may happen --------------------------------------------------------------------------
@@ -365,7 +348,7 @@ class End:
 
         Raises
         ------
-        Broken
+        AssertionError
             When a safety property does not hold any more.
         """
         self._begin_event()
@@ -423,8 +406,8 @@ class End:
             held = View((), record.session.id, announced, record.keys.confirmed, loaded.held)
             served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
             over = served.end(self.rules.digits)
-            if served.session == record.session.id and first_held(loaded.held) < over:
-                raise Broken(f"a digit that served step {served.k} is still in the journal")
+            gone = served.session != record.session.id or first_held(loaded.held) >= over
+            assert gone, f"a digit that served step {served.k} is still in the journal"
         self.view = held._replace(
             counted=self.view.counted, received=self.view.received, forgot=self.view.forgot
         )

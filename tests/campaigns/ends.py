@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
-from tests.campaigns.end import Broken, Doing, End, Side, View
+from tests.campaigns.end import Doing, End, Side, View
 from tests.campaigns.packing import pack, unpack
 from tests.support.mail import Mail
 
@@ -109,7 +109,7 @@ class Ends:
         try:
             end.do(doing, kind, payload)
         except Exception as error:  # whatever the real code raises is a fault of it
-            why = str(error) if isinstance(error, Broken) else f"{type(error).__name__}: {error}"
+            why = f"{type(error).__name__}: {error}"
             made = Outcome(label, state, faults=doing.faults, broken=why), 0
         else:
             carried = any(t.role == "message" and t not in before for t in end.news)

@@ -210,7 +210,7 @@ class LiveLoop:
             for side in ("plant", "controller")
         )
         services["controller"].remove(f"--connect=field={plant}")
-        pass_on = partial(relay_until_stopped, plant, controller, *odds, 1)
+        pass_on = partial(relay_until_stopped, plant, controller, odds, 1)
         self.processes["relay"] = Process("relay", [], self.folder / "relay.log", pass_on)
 
     def _route(self, services: dict[str, list[str]], *, tls: bool) -> None:

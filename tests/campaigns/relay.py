@@ -14,6 +14,8 @@ from runtime.errors import DONE
 from runtime.signals import stop_on_signals
 from runtime.zenoh_bus import ZenohBus
 
+Odds = tuple[float, float, float]
+
 
 class Relay:
     """Passes messages on, or not.
@@ -22,19 +24,16 @@ class Relay:
     ----------
     plant, controller : str
         Where each listens.
-    loss, repeat : float
-        Probability that a message vanishes, or arrives twice.
-    delay_s : float
-        Each arrival is late by a uniform time up to this, so messages overtake one another.
+    odds : tuple of float
+        Probability that a message vanishes, and that it arrives twice; each arrival is late by a
+        uniform time up to the third, in seconds, so messages overtake one another.
     seed : int
     """
 
-    def __init__(
-        self, plant: str, controller: str, loss: float, repeat: float, delay_s: float, seed: int
-    ) -> None:
+    def __init__(self, plant: str, controller: str, odds: Odds, seed: int) -> None:
         self._buses = [ZenohBus(connect=[plant]), ZenohBus(connect=[controller])]
         self._draw = random.Random(seed)
-        self._odds = loss, repeat, delay_s
+        self._odds = odds
         self.counts = {"passed": 0, "lost": 0, "repeated": 0}
         one, two = self._buses
         for kind, near, far in ((Measurement, one, two), (Offer, two, one)):
@@ -64,17 +63,11 @@ class Relay:
 
 
 def relay_until_stopped(
-    plant: str,
-    controller: str,
-    loss: float,
-    repeat: float,
-    delay_s: float,
-    seed: int,
-    _arguments: Sequence[str] = (),
+    plant: str, controller: str, odds: Odds, seed: int, _arguments: Sequence[str] = ()
 ) -> int:
     """Relay until a signal comes; what was passed, lost and repeated goes to standard output."""
     with stop_on_signals() as stopping:
-        relay = Relay(plant, controller, loss, repeat, delay_s, seed)
+        relay = Relay(plant, controller, odds, seed)
         stopping.wait()
         relay.close()
     print(json.dumps(relay.counts))

@@ -10,7 +10,7 @@ from typing import Final
 
 import pytest
 
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from wyner.cli.main import commands, main
 
 DONE: Final = (
@@ -145,12 +145,11 @@ def here(runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where running loops are noted
     for name in ("RUN", "BROKEN"):
         Path(name).symlink_to(runs / name)
-    paper = (SCENARIOS / "paper.toml").read_text()
-    Path("mine.toml").write_text((SCENARIOS / "sustained.toml").read_text())
-    Path("far.toml").write_text(
-        paper.replace("initial_state = [4.0, -2.0]", "initial_state = [1e6, 0.0]")
-    )
-    Path("unstable.toml").write_text(re.sub(r"gain = .*", "gain = [[1.0, 0.0]]", paper))
+    Path("mine.toml").write_text(text_of("sustained"))
+    far = ("initial_state = [4.0, -2.0]", "initial_state = [1e6, 0.0]")
+    Path("far.toml").write_text(text_of("paper", far))
+    unstable = re.sub(r"gain = .*", "gain = [[1.0, 0.0]]", text_of("paper"))
+    Path("unstable.toml").write_text(unstable)
     Path("fails.py").write_text(FAILS)
     Path("rows.csv").write_text("a,u\n" + "1,2\n" * 4)
     Path("v.json").write_text('{"loss": 2}')

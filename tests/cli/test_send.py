@@ -17,7 +17,7 @@ from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
 from wyner.deployment.sending import queued
 
-RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
+RUN = RunningLoop("/runs/a/run", "sustained", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
 NOBODY = "tcp/127.0.0.1:9"
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from runtime.errors import Failure, UsageError
 from runtime.scenario_file import scenario_of
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from wyner.cli import session, up
 from wyner.cli.main import main
 from wyner.deployment.one_machine import RunOptions
@@ -104,11 +104,9 @@ def test_a_run_that_ends_before_its_first_key_is_one_line(
 def test_a_claim_that_makes_no_key_is_one_line_before_anything_starts(
     name: str, old: str, new: str, line: str, tmp_path: Path, capsys: Any
 ) -> None:
-    text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    rest = "" if new else "appearances = 1"
+    rest = [] if new else [("appearances = 1", "")]
     file, run_dir = tmp_path / "changed.toml", tmp_path / "run"
-    file.write_text(text.replace(old, new).replace(rest, ""), encoding="utf-8")
+    file.write_text(text_of(name, (old, new), *rest), encoding="utf-8")
     options = ["--scenario", str(file), "--message", "hi", "--run-dir", str(run_dir)]
     assert main(["up", *options]) == 2
     said = capsys.readouterr()

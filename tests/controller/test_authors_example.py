@@ -16,6 +16,7 @@ from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.terminal import feedback_gain
 from protocol.arrays import Array
 from runtime.scenario_file import scenario_of
+from tests.support.scenarios import changed
 
 A: Final = np.array([[1.0, 0.0975], [0.0, 0.95]])
 B: Final = np.array([0.0246, 0.4877])
@@ -136,10 +137,8 @@ def test_the_closed_loop_goes_where_theirs_does(theirs: Theirs, seed: int) -> No
 
 def test_the_papers_gain_is_a_regulators() -> None:
     """Equation (25), K = (-13.27, -2.26), is that of Q = diag(1000, 1), R = 1, as MPT3 has it."""
-    data = scenario_of("paper").model_dump(mode="json", exclude_none=True)
-    del data["control"]["gain"]
-    data["control"]["regulator"] = {"next_state": [1000.0, 1.0], "input": [1.0]}
-    K = feedback_gain(type(scenario_of("paper")).model_validate(data))
+    weights = {"next_state": [1000.0, 1.0], "input": [1.0]}
+    K = feedback_gain(changed("paper", control={"gain": None, "regulator": weights}))
     assert K[0] == pytest.approx([-13.2708, -2.2641], abs=5e-5)
     printed = scenario_of("paper").control.gain
     assert printed is not None

@@ -20,6 +20,7 @@ from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
 from protocol.scenario import ConvexSet, Scenario, parse_scenario
 from runtime.scenario_file import scenario_of
+from tests.support.scenarios import changed
 from wyner.cli.new import sampled
 
 SHIPPED = (
@@ -40,12 +41,9 @@ TWO_MASSES: list[list[float]] = [
 
 def shipped(name: str, *, candidates: int | None = None, alpha: float | None = None) -> Scenario:
     scenario = scenario_of(name)
-    secrecy = scenario.secrecy.model_copy(
-        update={
-            "candidates": candidates or scenario.secrecy.candidates,
-            "alpha": alpha or scenario.secrecy.alpha,
-        }
-    )
+    fields = {"candidates": candidates, "alpha": alpha}
+    asked = {field: value for field, value in fields.items() if value is not None}
+    secrecy = scenario.secrecy.model_copy(update=asked)
     return scenario.model_copy(update={"secrecy": secrecy})
 
 
@@ -178,9 +176,9 @@ def test_without_a_set_to_begin_with_the_bounds_are_asked_for() -> None:
 
 def test_a_bet_is_made_on_request() -> None:
     scenario = shipped("packed", candidates=2, alpha=2.68)
-    control = scenario.control.model_dump(exclude_none=True) | {"alphabet": {"spacing": 1.834}}
-    data = scenario.model_dump(exclude_none=True) | {"control": control}
-    design = synthesise(parse_scenario(data, "bet"))
+    secrecy = {"candidates": 2, "alpha": 2.68}
+    bet = changed("packed", secrecy=secrecy, control={"alphabet": {"spacing": 1.834}})
+    design = synthesise(bet)
     assert design.offsets is not None
     sep = Separation.of(scenario.B, scenario.defender.disturbance)
     assert np.ptp(design.offsets) == pytest.approx(1.834 / 2 * sep.sigma(), rel=2e-6)

@@ -29,7 +29,7 @@ ANNOUNCES = (
 
 def loop_named(name: str) -> RunningLoop:
     ends = [f"tcp/127.0.0.1:{port}" for port in (1, 2, 3)]
-    return RunningLoop(f"/runs/{name}", "sustained", "loop", *ends)
+    return RunningLoop(f"/runs/{name}", "sustained", *ends)
 
 
 @pytest.fixture(autouse=True)

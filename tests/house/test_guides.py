@@ -29,6 +29,7 @@ from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import LADDER, named
 from tests.support.recorded_pair import RecordedPair
+from tests.support.scenarios import text_of
 from wyner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -123,11 +124,13 @@ def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path:
 
 def law_scenario(folder: Path, law: str) -> Path:
     """The shipped scenario under the page's law."""
-    text = (SCENARIOS / "sustained.toml").read_text()
-    text = text.replace("horizon = 250", "horizon = 60")
-    text = text.replace("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]")
     stated = (folder / "law.toml").read_text().removeprefix("[control]\n")
-    text = text.replace('law = "sustained"\n', stated.replace("examples/own/nearer.py:Nearer", law))
+    text = text_of(
+        "sustained",
+        ("horizon = 250", "horizon = 60"),
+        ("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]"),
+        ('law = "sustained"\n', stated.replace("examples/own/nearer.py:Nearer", law)),
+    )
     path = folder / "own.toml"
     path.write_text(text)
     return path

@@ -2,14 +2,12 @@
 
 import pytest
 
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from runtime.scenario_file import scenario_of
+from protocol.scenario import Scenario, ScenarioError
+from tests.support.scenarios import changed
 
 
 def with_shape(disturbance: object, alpha: float = 1.0, name: str = "packed") -> Scenario:
-    data = scenario_of(name).model_dump(exclude_none=True)
-    data["secrecy"] |= {"alpha": alpha, "disturbance": disturbance}
-    return parse_scenario(data, name)
+    return changed(name, secrecy={"alpha": alpha, "disturbance": disturbance})
 
 
 @pytest.mark.parametrize(

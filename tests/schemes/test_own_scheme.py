@@ -17,9 +17,9 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import advance_many
-from runtime.shipped import SCENARIOS
 from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import violations
+from tests.support.scenarios import text_of
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.network import Simulation
@@ -130,9 +130,7 @@ def test_two_ends_whose_files_differ_do_not_share_a_fingerprint(
     ],
 )
 def test_a_name_that_is_none_is_one_line(name: str, expected: str) -> None:
-    text = (SCENARIOS / "sustained.toml").read_text()
-    for old, new in changed(name):
-        text = text.replace(old, new)
+    text = text_of("sustained", *changed(name))
     with pytest.raises(ScenarioError) as error:
         parse_scenario(tomllib.loads(text), "own.toml")
     (line,) = error.value.problems

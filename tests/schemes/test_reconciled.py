@@ -1,18 +1,18 @@
 """Words of estimated coins: the code corrects, the hash hides, both ends spend the same keys."""
 
 import random
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ScenarioError
 from protocol.schemes.bch import BCH
 from protocol.schemes.reconciled import CARRY, CHECK_BITS, Reconciled, Reconciled31, shortened
-from runtime.scenario_file import scenario_of
 from tests.simulate.beside import through_deaths_and_losses
+from tests.support.scenarios import changed
 from wyner.api import design
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.link import followed, whole_messages
@@ -24,13 +24,6 @@ CODES: Final = [
     (6, 6, 30, 0b1101111100110100001110101101100111),
 ]
 KINDS: Final = [Reconciled, Reconciled31]
-
-
-def stochastic(**tables: dict[str, Any]) -> Scenario:
-    data = scenario_of("stochastic").model_dump(mode="json", exclude_none=True)
-    for name, fields in tables.items():
-        data[name] |= fields
-    return parse_scenario(data, "stochastic")
 
 
 # --- the code and the hash ------------------------------------------------------------------------
@@ -116,7 +109,7 @@ def test_candidates_that_are_no_bits_are_refused() -> None:
     with pytest.raises(
         ScenarioError, match=r"secrecy.candidates: got 3, expected 2 for reconciled"
     ):
-        stochastic(secrecy={"candidates": 3})
+        changed("stochastic", secrecy={"candidates": 3})
 
 
 # --- the loop -------------------------------------------------------------------------------------
@@ -141,7 +134,7 @@ def test_the_engine_is_the_two_ends_past_the_first_words(seed: int) -> None:
 @pytest.mark.parametrize("scheme", ["reconciled", "reconciled-31"])
 def test_words_that_differ_end_the_session_and_the_message_comes_once(scheme: str) -> None:
     law = {"law": "packed", "alphabet": {"spacing": 0.6}}
-    system = design(stochastic(secrecy={"scheme": scheme}, control=law))
+    system = design(changed("stochastic", secrecy={"scheme": scheme}, control=law))
     text = (b"one", b"two")
     ends = Simulation(system.scenario, system.law, seed=2, payloads=text)
     history = ends.run(steps=20_000, until=lambda: len(ends.history.inbox) == len(text))
@@ -157,7 +150,7 @@ def test_words_that_differ_end_the_session_and_the_message_comes_once(scheme: st
 
 
 def test_each_message_comes_once_through_deaths_and_losses() -> None:
-    system = design(stochastic(secrecy={"scheme": "reconciled-31"}))
+    system = design(changed("stochastic", secrecy={"scheme": "reconciled-31"}))
     assert len(list(through_deaths_and_losses(system.scenario, system.law))) == 4
 
 

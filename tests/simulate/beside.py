@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,12 +77,17 @@ def beside_the_engine(
     return done
 
 
-def through_deaths_and_losses(scenario: Scenario, law: CandidateLaw) -> Iterator[History]:
+BAD = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
+
+
+def through_deaths_and_losses(
+    scenario: Scenario, law: CandidateLaw, faults: Faults = BAD, step_s: float = 0.1, **more: Any
+) -> Iterator[History]:
     """Four runs, each until its one message has arrived exactly once; seeds 0 to 3."""
+    common: dict[str, Any] = {"payloads": (b"a",), "faults": faults, "step_s": step_s}
     for seed in range(4):
-        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
-        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
-        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
+        both = Simulation(scenario, law, seed=seed, **common, **more)
+        history = both.run(seconds=4000 * step_s, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
         assert list(violations(history, (b"a",))) == []
         assert history.crashes > 0
         assert history.inbox == [b"a"]

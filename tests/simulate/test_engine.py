@@ -1,24 +1,20 @@
 """The engine is the same system: every number of every step, against the scalar functions."""
 
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller_service.laws.base import CandidateLaw
-from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.scenario import Scenario
 from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, Stream
-from runtime.scenario_file import load_scenario
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
+from tests.support.recorded_pair import law_of
+from tests.support.scenarios import changed
 from wyner.simulate.engine import (
     Runs,
     SimulationError,
@@ -34,28 +30,11 @@ SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
 
 
-@cache
-def system(name: str, **_: Any) -> tuple[Scenario, CandidateLaw]:
-    scenario = load_scenario(SCENARIOS / f"{name}.toml")
-    return scenario, make_law(scenario, cached_design(scenario))
-
-
-def varied(scenario: Scenario, **tables: dict[str, Any]) -> Scenario:
-    """The scenario with some fields of some tables replaced, validated again."""
-    data = scenario.model_dump(exclude_none=True)
-    for name, fields in tables.items():
-        data[name].update(fields)
-    return Scenario.model_validate(data)
-
-
-# --- draws ---------------------------------------------------------------------------------------
-
-
 # --- the loop ------------------------------------------------------------------------------------
 
 
 def test_a_run_is_the_same_alone_in_company_and_in_any_chunk() -> None:
-    scenario, law = system("sustained")
+    scenario, law = law_of("sustained")
     together = list(chunks(scenario, law, seed=2, runs=range(100, 130), steps=80, chunk=13))
     assert [c.runs for c in together] == [range(100, 113), range(113, 126), range(126, 130)]
     alone = simulate_runs(scenario, law, seed=2, runs=range(127, 128), steps=80)
@@ -76,11 +55,11 @@ def test_a_run_is_the_same_alone_in_company_and_in_any_chunk() -> None:
 def test_no_constraint_is_violated_while_d_is_in_the_defenders_set(
     name: str, runs: int, steps: int
 ) -> None:
-    base, law = system(name)
+    base, law = law_of(name)
     D_c = base.defender.disturbance.half_widths
     assert D_c is not None
     spec = {"kind": "corners", "half_widths": D_c}
-    scenario = varied(base, plant={"disturbance": spec})
+    scenario = changed(name, plant={"disturbance": spec})
     sample = simulate_runs(scenario, law, seed=8, runs=range(runs), steps=steps, record=True)
     assert sample.candidates is not None
     assert sample.x is not None
@@ -100,8 +79,8 @@ def test_no_constraint_is_violated_while_d_is_in_the_defenders_set(
 
 
 def test_a_state_outside_every_set_ends_the_simulation_with_its_step() -> None:
-    base, law = system("sustained")
-    scenario = varied(base, plant={"initial_state": (1e6, 0.0)})
+    base, law = law_of("sustained")
+    scenario = changed("sustained", plant={"initial_state": (1e6, 0.0)})
     with pytest.raises(SimulationError, match=r"runs 0 to 1, step 0: .*outside T_250"):
         simulate_runs(scenario, law, seed=1, runs=range(2), steps=5)
     with pytest.raises(ValueError, match="at least one of each"):
@@ -112,7 +91,7 @@ def test_a_state_outside_every_set_ends_the_simulation_with_its_step() -> None:
 
 
 def made_up(symbol: list[int], largest: list[float], coin: list[int]) -> Runs:
-    scenario, _ = system("sustained")
+    scenario, _ = law_of("sustained")
     return Runs(
         scenario=scenario,
         seed=6,
@@ -180,7 +159,7 @@ def test_counts_and_transfer_are_those_of_the_scheme(
 
 
 def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -> None:
-    scenario, law = system("sustained")
+    scenario, law = law_of("sustained")
     runs = simulate_runs(scenario, law, seed=1, runs=range(50), steps=100)
     together = follow(runs, ALPHAS)
     for i, alpha in enumerate(ALPHAS):
@@ -194,7 +173,7 @@ def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -
 
 @pytest.mark.parametrize(("loss", "holds"), [(0.3, False), (0.0, True)])
 def test_one_who_goes_for_keys_holds_what_the_claim_leaves_her(loss: float, holds: bool) -> None:
-    scenario, law = system("keys")
+    scenario, law = law_of("keys")
     scenario = scenario.model_copy(update={"tap": scenario.tap.model_copy(update={"loss": loss})})
     runs = simulate_runs(scenario, law, seed=3, runs=range(2), steps=320, record=True)
     sent = transfer(runs, payloads=[b"Ahoy"])
@@ -205,7 +184,7 @@ def test_one_who_goes_for_keys_holds_what_the_claim_leaves_her(loss: float, hold
 
 
 def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
-    scenario, law = system("sustained")
+    scenario, law = law_of("sustained")
     runs = simulate_runs(scenario, law, seed=12, runs=range(2), steps=900, record=True)
     sent = transfer(runs, payloads=[b"Ahoy"])
     names = ("set-membership", "nearest-centre", "list-decoder", "oracle")
@@ -244,7 +223,7 @@ class ReadsMany(Reads):
 
 
 def test_a_message_read_once_counts_once_however_often_it_was_sent() -> None:
-    scenario, law = system("packed")
+    scenario, law = law_of("packed")
     runs = simulate_runs(scenario, law, seed=12, runs=range(1), steps=200, record=True)
     sent = transfer(runs, payloads=[b"Ahoy"] * 100)
     once, many, oracle = listen(runs, sent, (Reads, ReadsMany, "oracle"), 0)

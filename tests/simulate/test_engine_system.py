@@ -1,29 +1,19 @@
 """The live services' run is the engine's, bit for bit."""
 
 import base64
-from functools import cache
 from pathlib import Path
 
 import pytest
 from pydantic_core import to_json
 
-from controller_service.laws.base import CandidateLaw
-from controller_service.laws.registry import cached_design, make_law
-from protocol.scenario import Scenario
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from runtime.scenario_file import scenario_of
 from tests.support.programs import wyner
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
 from tests.support.traces import events_of
 from wyner.simulate.engine import simulate_runs, transfer
 
 TEXT = "Meet me where the river bends, at the second lamp after the bridge."
-
-
-@cache
-def system(name: str) -> tuple[Scenario, CandidateLaw]:
-    scenario = scenario_of(name)
-    return scenario, make_law(scenario, cached_design(scenario))
 
 
 def up(folder: Path, *options: str) -> None:
@@ -51,7 +41,7 @@ def test_live_services_and_engine_are_one_system(
 ) -> None:
     said = ("--scenario", name, "--message", text, "--seed", str(seed), "--steps", str(steps))
     up(tmp_path, *said)
-    runs = simulate_runs(*system(name), seed=seed, runs=range(1), steps=steps, record=True)
+    runs = simulate_runs(*law_of(name), seed=seed, runs=range(1), steps=steps, record=True)
     t = transfer(runs, payloads=[text.encode()])
     assert runs.x is not None
     assert runs.candidates is not None

@@ -5,10 +5,11 @@ from typing import Any
 import pytest
 
 from protocol.link.channel import round_trip_s
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import Scenario, ScenarioError
 from protocol.statistics import Interval, share_over_runs
 from tests.simulate.beside import beside_the_engine
 from tests.support.recorded_pair import law_of
+from tests.support.scenarios import changed
 from wyner.simulate.missed import missed_steps
 
 BURSTS = {"loss": 0.05, "loss_bad": 0.9, "to_bad": 0.05, "to_good": 0.3}
@@ -24,14 +25,6 @@ TABLES: dict[str, dict[str, Any]] = {
 }
 
 
-def networked(table: dict[str, Any], name: str = "sustained", **link: Any) -> Scenario:
-    scenario, _ = law_of(name)
-    data = scenario.model_dump(mode="json", exclude_none=True)
-    data["network"] = table
-    data["link"] |= link
-    return parse_scenario(data, name)
-
-
 def share(scenario: Scenario, runs: int = 20, steps: int = 600) -> Interval:
     """Counted over runs, seed 3."""
     missed = missed_steps(scenario, seed=3, runs=range(runs), steps=steps)
@@ -42,8 +35,8 @@ def share(scenario: Scenario, runs: int = 20, steps: int = 600) -> Interval:
 def test_losses_alone_are_the_product() -> None:
     """Four copies, each through with probability 0.49: 0.51^4 are missed."""
     for scenario, told in (
-        (networked(TABLES["losses"]), 0.51**4),
-        (networked(TABLES["losses"], repeats_per_period=1), 0.51),
+        (changed("sustained", network=TABLES["losses"]), 0.51**4),
+        (changed("sustained", network=TABLES["losses"], link={"repeats_per_period": 1}), 0.51),
     ):
         counted = share(scenario)
         assert abs(counted.value - told) <= 1.5 * counted.width
@@ -52,14 +45,15 @@ def test_losses_alone_are_the_product() -> None:
 
 def test_a_round_trip_longer_than_a_step_misses_every_step() -> None:
     for delay, told in (({"delay_s": 0.051}, 1.0), ({"delay_s": 0.049}, 0.0)):
-        assert share(networked({"to_plant": delay, "to_controller": delay})).value == told
+        both = {"to_plant": delay, "to_controller": delay}
+        assert share(changed("sustained", network=both)).value == told
 
 
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("fallback", ["hold", "zero", "regulator"])
 def test_the_engine_misses_the_steps_that_the_two_ends_miss(name: str, fallback: str) -> None:
     """To the last bit: every number of every step."""
-    scenario = networked(TABLES[name], fallback=fallback)
+    scenario = changed("sustained", network=TABLES[name], link={"fallback": fallback})
     _, law = law_of("sustained")
     done = beside_the_engine(scenario, law, 120, seed=5, run=0)
     assert 0 < len(done) < 120
@@ -85,11 +79,12 @@ def test_the_engine_misses_the_steps_that_the_two_ends_miss(name: str, fallback:
 )
 def test_a_wrong_table_is_one_line(table: dict[str, Any], says: str) -> None:
     with pytest.raises(ScenarioError, match=says) as refused:
-        networked(table)
+        changed("sustained", network=table)
     assert len(refused.value.problems) == 1
 
 
 def test_the_plant_waits_at_its_end_for_forty_periods_at_most() -> None:
     """A way of an hour, and a run of 40 steps never ended."""
-    assert round_trip_s(networked({"to_plant": {"delay_s": 3600.0}})) == pytest.approx(4.0)
-    assert round_trip_s(networked({"to_plant": {"delay_s": 0.2}})) == pytest.approx(0.2)
+    for delay_s, told in ((3600.0, 4.0), (0.2, 0.2)):
+        scenario = changed("sustained", network={"to_plant": {"delay_s": delay_s}})
+        assert round_trip_s(scenario) == pytest.approx(told)

@@ -46,18 +46,6 @@ def test_safety_always_and_delivery_once_all_is_well(
         assert history.missed > 0
 
 
-def test_without_faults_nothing_is_missed_and_time_does_not_pass(
-    sustained: Scenario, sustained_law: CandidateLaw
-) -> None:
-    both = Simulation(sustained, sustained_law, seed=7, payloads=(b"abc",))
-    both.run(steps=2000)
-    history = both.run(until=lambda: len(both.history.controller) >= 2000)
-    assert len(history.plant) == len(history.controller) == 2000
-    assert history.missed == 0
-    assert history.inbox == [b"abc"]
-    assert all(t.symbol == t.coin for t in history.plant.values() if t.symbol >= 0)
-
-
 def test_a_seed_replays(sustained: Scenario, sustained_law: CandidateLaw) -> None:
     def once() -> object:
         sim = Simulation(

@@ -7,18 +7,11 @@ import pytest
 
 from protocol.agreement import Gauge, predict
 from protocol.link.session import rules_of
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ScenarioError
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.recorded_pair import law_of
+from tests.support.scenarios import changed
 from wyner.runs.score.counts import costs
-
-
-def noisy(**changes: dict[str, Any]) -> Scenario:
-    scenario, _ = law_of("noisy")
-    data = scenario.model_dump(mode="json", exclude_none=True)
-    for table, fields in changes.items():
-        data[table] = data.get(table, {}) | fields
-    return parse_scenario(data, "noisy")
 
 
 def test_w_is_the_sum_of_three_sets() -> None:
@@ -37,7 +30,7 @@ def test_w_is_the_sum_of_three_sets() -> None:
 
 def test_what_is_possible_for_her_is_said_by_the_offer() -> None:
     """Whether centres lie within (alpha - 1) D_c, whatever the reading after them."""
-    rule = rules_of(noisy(secrecy={"candidates": 3})).agreement
+    rule = rules_of(changed("noisy", secrecy={"candidates": 3})).agreement
     near, far = 0.12 * 6.99, 0.12 * 7.01
     for distance, agreed in ((near, True), (far, False)):
         centres = ((0.0, 0.0), (0.0, 0.5), (0.0, distance))
@@ -48,8 +41,9 @@ def test_what_is_possible_for_her_is_said_by_the_offer() -> None:
 @pytest.mark.parametrize("network", [None, {"to_plant": {"loss": 0.4}}])
 def test_the_engine_runs_as_the_two_ends_do(network: dict[str, Any] | None) -> None:
     """Readings, coins and key symbols to the last bit, and the state itself; seed 4."""
-    scenario = noisy() if network is None else noisy(network=network)
-    _, law = law_of("noisy")
+    scenario, law = law_of("noisy")
+    if network is not None:
+        scenario = changed("noisy", network=network)
     for t in beside_the_engine(scenario, law, 100):
         assert t.truth is not None
         assert max(np.abs(np.subtract(t.truth.x_next, t.x_next))) <= 0.02 + 1e-12
@@ -75,7 +69,7 @@ def test_deaths_and_a_bad_network_break_nothing() -> None:
 )
 def test_wrong_noise_is_one_line(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(ScenarioError, match=says):
-        noisy(**changes)
+        changed("noisy", **changes)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +80,8 @@ def test_how_many_candidates_the_noise_leaves(share: float, candidates: int) -> 
     from controller_service.sets.alphabet import choose_alphabet
     from controller_service.sets.separation import AlphabetError
 
-    scenario = noisy(
+    scenario = changed(
+        "noisy",
         plant={"noise": {"half_widths": [0.0, 0.0]}},
         defender={"noise": {"half_widths": [0.12 * share] * 2}},
     )
@@ -104,7 +99,7 @@ def test_how_many_candidates_the_noise_leaves(share: float, candidates: int) -> 
 
 def test_one_who_knows_her_own_set_lacks_the_noise_too() -> None:
     """One width of D_c, and two of N."""
-    assert noisy().hidden_widths == 3
+    assert law_of("noisy")[0].hidden_widths == 3
     assert law_of("sustained")[0].hidden_widths == 1
 
 

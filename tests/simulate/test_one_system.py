@@ -7,8 +7,8 @@ import pytest
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.scenario import Scenario
 from tests.simulate.beside import beside_the_engine
+from tests.support.scenarios import changed
 from wyner.api import design, load, scenario_names
 from wyner.simulate.engine import simulate_runs
 
@@ -63,10 +63,7 @@ def test_and_so_they_are_past_the_first_block_of_draws(name: str) -> None:
 
 @pytest.mark.parametrize("changes", [POLYTOPE, OWN_SHAPE, *DISTURBED])
 def test_and_so_are_those_of_every_disturbance_and_set(changes: dict[str, Any]) -> None:
-    data = load("sustained").model_dump(mode="json", exclude_none=True)
-    for table, fields in changes.items():
-        data[table] = data[table] | fields
-    scenario = Scenario.model_validate(data)
+    scenario = changed("sustained", **changes)
     law = make_law(scenario, cached_design(scenario))
     beside_the_engine(scenario, law, 200)
     runs = simulate_runs(scenario, law, seed=4, runs=range(5), steps=200)

@@ -7,9 +7,10 @@ import pytest
 
 from protocol.agreement import predict
 from protocol.link.session import CountedTransition
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ScenarioError
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.recorded_pair import law_of
+from tests.support.scenarios import changed
 from tests.support.size import size
 from wyner import api
 
@@ -18,14 +19,6 @@ BURSTS = {
     "to_plant": {"delay": "gamma", "delay_s": 0.05, "jitter_s": 0.05},
     "to_controller": {"loss_bad": 0.9, "to_bad": 0.1, "to_good": 0.2},
 }
-
-
-def encoder(**changes: dict[str, Any]) -> Scenario:
-    """The shipped scenario with some fields changed."""
-    data = law_of("encoder")[0].model_dump(mode="json", exclude_none=True)
-    for table, fields in changes.items():
-        data[table] = data.get(table, {}) | fields
-    return parse_scenario(data, "changed")
 
 
 def held(t: CountedTransition) -> bool:
@@ -42,8 +35,8 @@ def test_the_engine_is_the_two_ends_to_the_last_bit(
     network: dict[str, Any] | None, fallback: str
 ) -> None:
     """Readings, states, coins and symbols, over missed steps too; the box holds the state."""
-    changes: dict[str, Any] = {"link": {"fallback": fallback}}
-    scenario = encoder(**(changes if network is None else changes | {"network": network}))
+    tables = {} if network is None else {"network": network}
+    scenario = changed("encoder", link={"fallback": fallback}, **tables)
     _, law = law_of("encoder")
     assert all(held(t) for t in beside_the_engine(scenario, law, size(60, 150)))
 
@@ -54,7 +47,7 @@ def test_a_plant_of_ones_own_gives_the_engines_run_to_the_last_bit(
 ) -> None:
     """Readings, verdicts and what they take of alpha, over missed steps too; seed 3."""
     tables = {} if network is None else {"network": network}
-    scenario = encoder(plant={"disturbance": {"enters": "none"}}, **tables)
+    scenario = changed("encoder", plant={"disturbance": {"enters": "none"}}, **tables)
 
     class Own:
         """The scenario's plant as an object."""
@@ -67,7 +60,7 @@ def test_a_plant_of_ones_own_gives_the_engines_run_to_the_last_bit(
             self.x = predict(scenario.A, scenario.B, self.x, u)
             return self.x
 
-    still = encoder(plant={"disturbance": {"half_widths": [0.0, 0.0]}}, **tables)
+    still = changed("encoder", plant={"disturbance": {"half_widths": [0.0, 0.0]}}, **tables)
     own = api.run(scenario, steps=80, runs=2, seed=3, plant=Own())
     together = api.run(still, steps=80, runs=2, seed=3)
     pairs: list[tuple[Any, Any]] = [
@@ -107,16 +100,16 @@ def test_deaths_and_a_bad_network_break_nothing() -> None:
 )
 def test_wrong_outputs_are_one_line(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(ScenarioError, match=says):
-        encoder(**changes)
+        changed("encoder", **changes)
 
 
 def test_the_fingerprint_covers_what_the_box_depends_on() -> None:
     """C, bounds, N, and what is predicted of a missed step."""
-    plain = encoder()
+    plain = changed("encoder")
     others = (
-        encoder(defender={"bounds": [10.0, 11.0]}),
-        encoder(defender={"noise": {"half_widths": [0.00013]}}),
-        encoder(link={"fallback": "zero"}),
-        encoder(control={"gain": [[-5.0, -2.0]]}),
+        changed("encoder", defender={"bounds": [10.0, 11.0]}),
+        changed("encoder", defender={"noise": {"half_widths": [0.00013]}}),
+        changed("encoder", link={"fallback": "zero"}),
+        changed("encoder", control={"gain": [[-5.0, -2.0]]}),
     )
     assert len({s.fingerprint() for s in (plain, *others)}) == 5

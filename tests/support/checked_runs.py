@@ -10,7 +10,7 @@ from uuid import uuid4
 
 import pytest
 
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
 from wyner.runs.check import Result, check, judge
@@ -59,8 +59,8 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 def _run_with_keys(folder: Path) -> None:
     """On a machine that is busy no block is extracted in eight seconds; then it gets forty."""
     scenario = folder.with_suffix(".toml")
-    keys = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
-    scenario.write_text(keys.replace("[tap]\n", f"[tap]\neavesdroppers = {EAVESDROPPERS}\n", 1))
+    listen = ("[tap]\n", f"[tap]\neavesdroppers = {EAVESDROPPERS}\n")
+    scenario.write_text(text_of("keys", listen))
     for pace in ("x5", "realtime"):
         shutil.rmtree(folder, ignore_errors=True)
         options = RunOptions(

@@ -5,14 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from protocol.agreement import NO_SYMBOL
-from protocol.link.step import Answered, Begun, Read
-from protocol.messages import Measurement, Offer, SendCommand
+from protocol.messages import SendCommand
 from runtime.journal import ControllerJournal, PlantJournal
 
 SCENARIO = "f" * 64
-
-NO_STEP = (None, NO_SYMBOL, None)
 
 
 def plant_journal() -> PlantJournal:
@@ -38,21 +34,6 @@ def copied(journal: Path, folder: Path) -> Path:
     for path in journal.parent.glob(f"{journal.name}*"):
         shutil.copyfile(path, folder / path.name)
     return folder / journal.name
-
-
-def step_of(
-    journal: ControllerJournal | PlantJournal,
-) -> tuple[Offer | None, int, Measurement | None]:
-    """The step that follows the record; :data:`NO_STEP` where none does."""
-    loaded: Any = journal.load()
-    match loaded.step:
-        case Begun(offer, coin):
-            return offer, coin, None
-        case Read(offer, coin, report):
-            return offer, coin, report
-        case Answered(measurement, offer):
-            return offer, NO_SYMBOL, measurement
-    return NO_STEP
 
 
 def contents(journal: ControllerJournal | PlantJournal) -> tuple[tuple[Any, ...], ...]:

@@ -85,6 +85,16 @@ class Digits:
             assert self._applied.get(step, t.expected) == t.expected, "another coin was expected"
 
 
+def honest(event: Event) -> None:
+    """Look at what an end traces where nobody attacks."""
+    if isinstance(event, Alarm):
+        assert event.reason == "unwatched", "an honest step made an alarm"  # the stream was dry
+    if isinstance(event, BlockEnded):
+        assert event.what != "unequal", "the ends hold different blocks"
+    if isinstance(event, CountedTransition):
+        assert not event.refused, "a frame arrived broken"
+
+
 class Onlooker:
     """Judges what both ends of an honest loop say and trace.
 
@@ -110,12 +120,9 @@ class Onlooker:
 
     def traced(self, event: Event) -> None:
         """An end traces an event."""
-        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # the stream was dry
-        assert honest, "an honest step made an alarm"
+        honest(event)
         if isinstance(event, BlockEnded):
-            assert event.what != "unequal", "the ends hold different blocks"
             at = event.session, event.number
             assert self.blocks.setdefault(at, event.keys) == event.keys
         if isinstance(event, CountedTransition):
-            assert not event.refused, "a frame arrived broken"
             self.digits.counted(event, coins=self._rules.keyed)

@@ -36,11 +36,12 @@ from runtime.pace import Pace
 from runtime.ports import LoopPorts
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, SCENARIO
-from runtime.shipped import SCENARIOS
+from runtime.scenario_file import scenario_of
 from tap_service.capture.recording import mirror_line
 from tap_service.config import TapConfig
 from tests.support.mail import Mail, mail
 from tests.support.pair import SIDES, Alive, Mortal, Name, Pair
+from tests.support.scenarios import text_of
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
@@ -65,7 +66,7 @@ Fault = Literal[
 @cache
 def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
     """A shipped scenario, and its law."""
-    scenario = parse_scenario(tomllib.loads((SCENARIOS / f"{name}.toml").read_text()), name)
+    scenario = scenario_of(name)
     return scenario, make_law(scenario, cached_design(scenario))
 
 
@@ -145,10 +146,7 @@ class RecordedPair(Pair):
         self.received: list[bytes] = []
         self._message = payloads[0] if payloads else b""
         self._lost: int | None = None  # the step whose offers are lost
-        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
+        text = text_of(name, *changes) + more
         self.scenario = parse_scenario(tomllib.loads(text), name)
         super().__init__(rules_of(self.scenario))
         self._law = law_of(name)[1]
@@ -234,6 +232,7 @@ class RecordedPair(Pair):
 
     def copy(self, side: Side) -> None:
         """Keep a copy of an end's journal as it is now."""
+        shutil.rmtree(self._copy(side), ignore_errors=True)
         self._copy(side).mkdir()
         for path in (self.folder / side).glob("journal*"):
             shutil.copy(path, self._copy(side))

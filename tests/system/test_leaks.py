@@ -23,9 +23,9 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.programs import python, started
+from tests.support.scenarios import text_of
 from tests.support.traces import events_of
 from tests.system.test_integration import status
 
@@ -144,10 +144,8 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     """The only eavesdropper reads no message: what another one has read stands in her beliefs."""
     run, file, scenario = tmp_path / "run", tmp_path / "message", tmp_path / "keys.toml"
     file.write_text(TEXT)
-    shipped = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
-    blind = shipped.replace("[tap]\n", '[tap]\neavesdroppers = ["set-membership"]\n', 1)
-    assert blind != shipped
-    scenario.write_text(blind)
+    blind = ("[tap]\n", '[tap]\neavesdroppers = ["set-membership"]\n')
+    scenario.write_text(text_of("keys", blind))
     arguments = ["--scenario", str(scenario), "--message", f"@{file}"]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
     seen = Seen(run)

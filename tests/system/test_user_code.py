@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.shipped import SCENARIOS
 from tests.support.programs import ROOT, wyner
+from tests.support.scenarios import text_of
 
 pytestmark = pytest.mark.slow
 
@@ -49,9 +49,8 @@ def up(
 ) -> subprocess.CompletedProcess[str]:
     """A run of the scenario with ``old`` in it replaced; the watch is ten times as impatient."""
     (folder / "sitecustomize.py").write_text(SOON)
-    text = (SCENARIOS / "sustained.toml").read_text()
-    assert old in text
-    (folder / "own.toml").write_text(text.replace(old, own).replace("[secrecy]", secrecy))
+    text = text_of("sustained", (old, own), ("[secrecy]", secrecy))
+    (folder / "own.toml").write_text(text)
     options = ("--scenario", "own.toml", "--pace", "fast", "--run-dir", "run")
     return wyner("up", *options, cwd=folder, env={**os.environ, "PYTHONPATH": f"{folder}:{ROOT}"})
 
@@ -74,7 +73,7 @@ def test_a_law_that_does_not_return_ends_the_run_with_a_line(
 
 def test_a_plant_that_does_not_return_ends_the_run_with_a_line(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(PLANT)
-    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text_of("sustained")
     matrices = "".join(line for line in text.splitlines(True) if line[:3] in ("A =", "B ="))
     own = '[plant]\nkind = "ode"\nobject = "mine.py:f"\n'
     done = up(tmp_path, f"[plant]\n{matrices}", own, f"[defender]\n{matrices}\n[secrecy]")

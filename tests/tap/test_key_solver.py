@@ -121,9 +121,10 @@ def test_stray_messages_cost_her_no_key(at: int) -> None:
 
 def test_transitions_that_fall_in_no_block_are_told() -> None:
     """ "0 of 0 key blocks" read as if no key had been made."""
-    messages, _, _ = recorded()
+    messages, _, made = recorded()
     keys = held_by(messages[60:])
     assert (keys.blocks, keys.bits) == (0, 0)
+    assert keys_of(solver_of(messages[60:]), made) == [()] * len(made)
     assert keys.unplaced > len(messages) / 2 - 40
     assert f"{keys.unplaced} transitions fell in no block" in held_line(keys)
     assert held_by(messages).unplaced == 0
@@ -238,14 +239,6 @@ def test_who_missed_one_copy_of_each_block_has_no_key_by_itself() -> None:
         (1, 256 * (b.rows - 1)) for b in blocks
     ]
     assert keys_of(solver_of(messages), made) == [()] * len(made)
-
-
-def test_one_who_comes_late_knows_no_block_and_says_so() -> None:
-    messages, _, made = recorded()
-    late = held_by(messages[100:])
-    assert (late.blocks, late.bits) == (0, 0)
-    hers = solver_of(messages[100:])
-    assert keys_of(hers, made) == [()] * len(made)
 
 
 @pytest.mark.parametrize("claim", [None, Assumption(0.0)])

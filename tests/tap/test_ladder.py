@@ -309,59 +309,41 @@ def odd(**answers: object) -> Listener:
     return listener
 
 
-@pytest.mark.parametrize(
-    ("guess", "expected"),
-    [
-        (None, "TypeError: expected a Guess, got None"),
-        (Guess(0, (), 0.5), "ValueError: expected 2 probabilities"),
-        (Guess(0, (0.5, 0.6, 0.1), 0.5), "ValueError: expected 2 probabilities"),
-        (Guess(0, (0.5, 0.6), 0.5), "ValueError: expected 2 probabilities that sum to 1"),
-        (Guess(0, (0.2, 0.3), 0.5), "ValueError: expected 2 probabilities that sum to 1"),
-        (Guess(0, (-0.5, 1.5), 0.5), "ValueError: expected 2 probabilities"),
-        (Guess(0, (0.5, float("nan")), 0.5), "ValueError: expected 2 probabilities"),
-        (Guess(0, (0.5, 0.5), 1.5), "ValueError: expected 2 probabilities"),
-        (Guess(0.5, (0.5, 0.5), 0.5), "TypeError: 'float' object"),  # type: ignore[arg-type]
-    ],
-)
-def test_a_guess_that_is_none_stops_her_alone(guess: object, expected: str) -> None:
-    listener = odd(guess=guess)
-    assert listener.failed.startswith(f"step 0: {expected}")
-    assert listener.steps == 0
+PROBABILITIES = "step 0: ValueError: expected 2 probabilities"
 
 
 @pytest.mark.parametrize(
-    ("belief", "expected"),
+    ("answer", "expected"),
     [
-        (None, "TypeError: expected a Belief, got None"),
-        (Belief(message="hello"), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
-        (Belief(whole=("a",)), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
-        (Belief(confidence=2.0), "ValueError: expected a confidence"),
-        (Belief(A=((float("inf"),),)), "ValueError: expected a finite model"),
+        ({"guess": None}, "step 0: TypeError: expected a Guess, got None"),
+        ({"guess": Guess(0, (), 0.5)}, PROBABILITIES),
+        ({"guess": Guess(0, (0.5, 0.6, 0.1), 0.5)}, PROBABILITIES),
+        ({"guess": Guess(0, (0.5, 0.6), 0.5)}, f"{PROBABILITIES} that sum to 1"),
+        ({"guess": Guess(0, (0.2, 0.3), 0.5)}, f"{PROBABILITIES} that sum to 1"),
+        ({"guess": Guess(0, (-0.5, 1.5), 0.5)}, PROBABILITIES),
+        ({"guess": Guess(0, (0.5, float("nan")), 0.5)}, PROBABILITIES),
+        ({"guess": Guess(0, (0.5, 0.5), 1.5)}, PROBABILITIES),
+        ({"guess": Guess(0.5, (0.5, 0.5), 0.5)}, "step 0: TypeError: 'float' object"),  # type: ignore[arg-type]
+        ({"last_belief": None}, "belief: TypeError: expected a Belief, got None"),
+        ({"last_belief": Belief(message="hello")}, "belief: TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        ({"last_belief": Belief(whole=("a",))}, "belief: TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        ({"last_belief": Belief(confidence=2.0)}, "belief: ValueError: expected a confidence"),
+        ({"last_belief": Belief(A=((float("inf"),),))}, "belief: ValueError: expected a finite"),
+        ({"symbols": None}, "message_symbols: TypeError: expected steps and symbols, got None"),
+        ({"symbols": ((1, 0), (2,))}, "message_symbols: ValueError: expected pairs of step and"),
+        ({"symbols": (("k", 0),)}, "message_symbols: TypeError"),
     ],
 )
-def test_a_belief_that_is_none_stops_her_alone(belief: object, expected: str) -> None:
-    listener = odd(last_belief=belief)
+def test_an_answer_that_is_none_stops_her_alone(answer: dict[str, object], expected: str) -> None:
+    """Message symbols are asked for at the end."""
+    listener = odd(**answer)
+    assert listener.steps == (0 if "guess" in answer else 3)
     assert listener.belief() == Belief()
-    assert listener.failed.startswith(f"belief: {expected}")
-    assert "\n" not in listener.failed
-
-
-@pytest.mark.parametrize(
-    ("symbols", "expected"),
-    [
-        (None, "TypeError: expected steps and symbols, got None"),
-        (((1, 0), (2,)), "ValueError: expected pairs of step and symbol"),
-        ((("k", 0),), "TypeError"),
-    ],
-)
-def test_message_symbols_that_are_none_stop_her_alone_at_the_end(
-    symbols: object, expected: str
-) -> None:
-    listener = odd(symbols=symbols)
     _, early = report_of("s", listener, last=False)
-    assert (early["failed"], early["symbols"]) == ("", None)
+    assert (early["failed"] == "") == ("symbols" in answer)
     _, last = report_of("s", listener, last=True)
-    assert last["failed"].startswith(f"message_symbols: {expected}")
+    assert last["failed"].startswith(expected)
+    assert "\n" not in last["failed"]
     assert last["symbols"] is None
 
 

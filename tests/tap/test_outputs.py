@@ -19,6 +19,7 @@ from tap_service.inference.opening import Known, Opening, inferred
 from tap_service.inference.output_fit import applied_in, identified, refitted
 from tap_service.inference.output_model import LATER, LOST, OutputModel
 from tests.support.recorded_pair import law_of
+from tests.support.scenarios import changed
 from tests.support.size import size
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
@@ -225,12 +226,9 @@ def test_the_fallback_shows_in_the_readings(fallback: str) -> None:
 
 def test_steps_that_a_network_takes_break_no_message_for_text() -> None:
     """A missed step is no transition: for who reads messages it is as if it were not there."""
-    base, law = law_of("packed")
-    tables = base.model_dump(mode="json", exclude_none=True)
-    tables["network"] = {"to_plant": {"loss": 0.5}}
-    runs = simulate_runs(
-        parse_scenario(tables, "lossy"), law, seed=4, runs=range(1), steps=400, record=True
-    )
+    scenario = changed("packed", network={"to_plant": {"loss": 0.5}})
+    law = law_of("packed")[1]
+    runs = simulate_runs(scenario, law, seed=4, runs=range(1), steps=400, record=True)
     assert runs.missed is not None
     assert runs.missed.sum() > 10
     (found,) = listen(runs, transfer(runs, payloads=[MESSAGE]), ["text"], 0)

@@ -85,4 +85,4 @@ def joined(
         "adversary": (loop.adversary,),
     }
     connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
-    return loop, replace(buses, loop=loop.loop, connect=connect)
+    return loop, replace(buses, loop=DEFAULT_LOOP, connect=connect)

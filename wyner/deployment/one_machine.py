@@ -10,7 +10,6 @@ from typing import Final
 
 from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
-from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
 from runtime.files import read_regular, write_atomically
 from runtime.options import MessageOptions, option
@@ -185,7 +184,6 @@ def _processes(
         RunningLoop(
             run_dir=str(run_dir.absolute()),
             scenario=name,
-            loop=DEFAULT_LOOP,
             plant_management=plant_management,
             controller_management=controller_management,
             adversary=adversary,

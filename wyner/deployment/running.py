@@ -34,15 +34,12 @@ class RunningLoop:
     run_dir : str
         The run's folder; also its name.
     scenario : str
-    loop : str
-        Its id on the buses.
     plant_management, controller_management, adversary : str
         Where its services listen.
     """
 
     run_dir: str
     scenario: str
-    loop: str
     plant_management: str
     controller_management: str
     adversary: str
