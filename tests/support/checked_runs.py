@@ -13,7 +13,7 @@ import pytest
 from tests.support.scenarios import text_of
 from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
-from wyner.runs.check import check
+from wyner.runs.check import Result, check, judge
 from wyner.runs.check.evidence import read_evidence
 
 STEPS: Final = 400
@@ -26,6 +26,11 @@ EAVESDROPPERS: Final = ["nearest-centre", "text", "key-solver"]
 def failed(folder: Path) -> set[str]:
     """Names of the rules that a run does not obey."""
     return {finding.rule for finding in check(read_evidence(folder))}
+
+
+def results_of(folder: Path) -> dict[str, Result]:
+    """How a run did by each rule."""
+    return {result.rule.name: result for result in judge(read_evidence(folder))}
 
 
 def keyed_run(factory: pytest.TempPathFactory) -> Path:

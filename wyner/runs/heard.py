@@ -3,42 +3,51 @@
 import base64
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 
+from protocol.knowledge import Knowledge
 from runtime.recording import CONTINUED, END, HEADER, number_of, parts_of
 from tap_service.capture.channel import View
-from tap_service.capture.recording import CAPTURE_VERSION
-from wyner.runs.marks import HEADS, Problem, Segments
+from wyner.runs.lines import STRICT, wrong
+from wyner.runs.marks import Problem, Segments
 
 SHOWN: Final = 60
 """Bytes of a malformed message that are shown."""
 
-CAPTURE_HEADS: Final = {**HEADS, "vantage": "tap", "capture_version": CAPTURE_VERSION}
 
-TOLD: Final = frozenset(
-    ("event", "part", "oldest", "started_ns", "loop", "knowledge", "view", "eavesdroppers")
-) | {"appearances", "wyner_version"}
-"""What else a capture's header may hold."""
+class CaptureHeader(BaseModel):
+    """The first line of each part of a capture: what the tap says of itself."""
+
+    model_config = STRICT
+
+    event: Literal["header"]
+    part: int
+    oldest: Literal[0] = 0
+    format: Literal["wyner-trace"]
+    version: Literal[2]
+    vantage: Literal["tap"]
+    capture_version: Literal[2]
+    started_ns: int = 0
+    loop: str
+    knowledge: Knowledge
+    view: View
+    eavesdroppers: list[str]
+    appearances: int
+    wyner_version: str
 
 
 class CapturedMessage(NamedTuple):
     """A line of the capture that holds a message; ``raw`` is the message as it travels."""
 
-    part: str
-    number: int
+    where: str
     raw: bytes
     topic: str
     session: str
     k: int
     message: dict[str, Any]
-
-    @property
-    def where(self) -> str:
-        """The line's place."""
-        return f"{self.part} line {self.number}"
 
 
 class CaptureLines:
@@ -89,45 +98,34 @@ class CaptureLines:
                         yield seen
 
     def _headed(self, part: Path, marks: Segments, number: int, header: dict[str, Any]) -> None:
-        expected = {**CAPTURE_HEADS, "part": number_of(part)}
-        for name in [name for name, due in expected.items() if header.get(name) != due]:
-            marks.problem(number, f"{name}: got {header.get(name)!r}")
-        if unlike := _unlike_header(header):
-            marks.problem(number, unlike)
+        if header.get("part") != number_of(part):
+            marks.problem(number, f"part: got {header.get('part')!r}")
+        try:
+            view = CaptureHeader.model_validate_json(to_json(header)).view
+        except ValidationError as error:
+            marks.problem(number, wrong(error))
         else:
-            self.blurred = bool(header["view"].get("noise") or header["view"].get("quantise"))
+            self.blurred = bool(view.noise or view.quantise)
 
     def _message(self, part: Path, number: int, value: dict[str, Any]) -> CapturedMessage | None:
         kind, message = value.get("event"), value.get("message")
+        where = f"{part.name} line {number}"
         field = kind == "field" and value.keys() == {"event", "t_ns", "topic", "message"}
         self.lines[number_of(part)] += field or kind == "malformed"
         if not field or not isinstance(message, dict):
             text = "no message" if field else f"event {kind!r}"
             text = _malformed(value) if kind == "malformed" else text
-            self.strange.append(Problem(f"{part.name} line {number}", text))
+            self.strange.append(Problem(where, text))
             return None
         k, session = message.get("k"), message.get("session")
         return CapturedMessage(
-            part.name,
-            number,
+            where,
             to_json(message),
             str(value.get("topic")),
             session if isinstance(session, str) else "",
             k if isinstance(k, int) else -1,
             message,
         )
-
-
-def _unlike_header(header: dict[str, Any]) -> str:
-    """What no tap says of itself; empty where all may be."""
-    strange = sorted(header.keys() - CAPTURE_HEADS.keys() - TOLD)
-    if strange or header.get("oldest", 0) != 0:
-        return f"{(*strange, 'oldest')[0]}: not in a capture's header"
-    try:
-        View.model_validate(header.get("view"), strict=True)
-    except ValidationError as error:
-        return f"view: {error.error_count()} fields are not as expected"
-    return ""
 
 
 def _malformed(line: dict[str, Any]) -> str:

@@ -3,26 +3,19 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.checked_runs import failed
+from tests.support.checked_runs import failed, results_of
+from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
 from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines, write_lines
 from wyner.cli.main import main
-from wyner.runs.check import RULES, Result, check, judge
+from wyner.runs.check import RULES, check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.lines import MISSED
-
-Event = dict[str, Any]
 
 NAMES = [rule.name for rule in RULES]
-
-
-def findings(folder: Path) -> dict[str, Result]:
-    return {result.rule.name: result for result in judge(read_evidence(folder))}
 
 
 @pytest.fixture(scope="module")
@@ -34,56 +27,18 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run.folder
 
 
-@pytest.fixture(scope="module")
-def eventful(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Losses, repeats, either end killed between its trace and its journal, a lost journal."""
-    run = RecordedPair(tmp_path_factory.mktemp("runs") / "eventful", b"one", b"two")
-    for number in range(6):
-        run.steps(
-            60,
-            {
-                5: "repeated",
-                9: "offer lost",
-                10: "offer lost",
-                20 + number: "plant dies",
-                30 + number: "controller dies",
-                41: "repeated",
-            },
-        )
-    run.step("controller forgets")
-    run.until_received(2)
-    run.steps(3, {1: "offer lost"})
-    run.stop()
-    return run.folder
-
-
 @pytest.fixture
 def copied(clean: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(clean, tmp_path / "run"))
-
-
-@pytest.fixture
-def copied_eventful(eventful: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(eventful, tmp_path / "run"))
 
 
 # --- right runs -----------------------------------------------------------------------------------
 
 
 def test_a_clean_run_passes_every_check(clean: Path) -> None:
-    results = findings(clean)
+    results = results_of(clean)
     assert {name for name, r in results.items() if r.result != "PASS"} == {"same-keys"}
     assert results["same-keys"].result == "SKIP"
-
-
-def test_a_run_with_faults_passes_every_check(eventful: Path) -> None:
-    e = read_evidence(eventful)
-    assert e.plant is not None
-    assert e.controller is not None
-    assert check(e) == []
-    assert e.plant.overwritten + e.controller.overwritten == 12
-    assert (e.plant.rows["kind"] == MISSED).sum() >= 13
-    assert len(e.plant.sessions) == 2
 
 
 @pytest.mark.parametrize(
@@ -135,7 +90,7 @@ def test_what_a_run_did_not_leave_is_skipped(
     copied: Path, missing: Path, skipped: set[str]
 ) -> None:
     shutil.rmtree((copied / missing).parent)
-    results = findings(copied)
+    results = results_of(copied)
     assert {name for name, r in results.items() if r.result == "SKIP"} == skipped
     assert failed(copied) == set()
 
@@ -189,28 +144,29 @@ def test_a_state_that_shows_on_the_bus_fails(copied: Path) -> None:
         assert f.text, "a finding says what does not hold"
 
 
-def test_a_cipher_that_changed_before_it_was_applied_fails(copied_eventful: Path) -> None:
+def test_a_cipher_that_changed_before_it_was_applied_fails(tmp_path: Path) -> None:
     """The offer was lost on its way to the plant, but not to the tap: two ciphers, one key."""
-    lost = {e["k"] for e in read_lines(copied_eventful / PLANT_TRACE) if e["event"] == "missed"}
-    k = min(lost)
+    ended_run(tmp_path, (b"one", b"two"))
+    k = next(e["k"] for e in read_lines(tmp_path / PLANT_TRACE) if e["event"] == "missed")
 
     def change(lines: Lines) -> None:
         offers = (line["message"] for line in lines if line.get("topic") == "offer")
         offer = next(message for message in offers if message["k"] == k)
         offer["cipher"] = 1 - offer["cipher"]
 
-    edit(copied_eventful / CAPTURE, change)
-    assert failed(copied_eventful) == {"wire", "whole"}
+    edit(tmp_path / CAPTURE, change)
+    assert failed(tmp_path) == {"wire", "whole"}
 
 
-def test_messages_out_of_order_fail(copied_eventful: Path) -> None:
+def test_messages_out_of_order_fail(tmp_path: Path) -> None:
+    ended_run(tmp_path, (b"one", b"two"))
+
     def change(lines: Lines) -> None:
-        sent = [line for line in lines if line["event"] == "sent"]
-        for a, b in zip(sent[::2], sent[1::2], strict=True):
-            a["payload"], b["payload"] = b["payload"], a["payload"]
+        first, second = (line for line in lines if line["event"] == "sent")
+        first["payload"], second["payload"] = second["payload"], first["payload"]
 
-    edit(copied_eventful / CONTROLLER_TRACE, change)
-    assert "messages" in failed(copied_eventful)
+    edit(tmp_path / CONTROLLER_TRACE, change)
+    assert "messages" in failed(tmp_path)
 
 
 def test_a_run_in_which_nothing_happened_fails(tmp_path: Path) -> None:

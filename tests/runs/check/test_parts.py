@@ -8,21 +8,17 @@ import pytest
 
 from runtime.recording import Bounds, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.checked_runs import results_of
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
 from tests.support.traces import events_of
 from wyner.cli.main import main
-from wyner.runs.check import Result, judge
 from wyner.runs.check.evidence import read_evidence
 
 PART = 40_000
 
 
-def findings(folder: Path) -> dict[str, Result]:
-    return {result.rule.name: result for result in judge(read_evidence(folder))}
-
-
 def results(folder: Path, result: str) -> set[str]:
-    return {name for name, finding in findings(folder).items() if finding.result == result}
+    return {name for name, finding in results_of(folder).items() if finding.result == result}
 
 
 def made(folder: Path, bounds: Bounds) -> Path:
@@ -74,7 +70,7 @@ def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
 def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
     whole: Path, bounded: Path
 ) -> None:
-    left = findings(bounded)
+    left = results_of(bounded)
     assert not results(bounded, "FAIL"), left
     assert "of the plant's trace are gone, judged after transition" in left["traces"].note
     for name in ("traces", "plant", "replay", "in-step", "paper"):
@@ -90,8 +86,8 @@ def test_a_side_that_begins_later_is_compared_from_there_on(parted: Path, copied
         shutil.rmtree(copied)
         shutil.copytree(parted, copied)
         _cut_off(copied / path, 4)
-        assert not results(copied, "FAIL"), findings(copied)
-        assert findings(copied)["in-step"].result == "PASS"
+        assert not results(copied, "FAIL"), results_of(copied)
+        assert results_of(copied)["in-step"].result == "PASS"
 
 
 def test_a_wrong_number_in_what_is_left_fails(bounded: Path, tmp_path: Path) -> None:

@@ -181,21 +181,12 @@ def test_every_rule_has_one() -> None:
     assert {*map(name_of, (*OF_PLAIN, *OF_KEYED)), "paper"} == {rule.name for rule in RULES}
 
 
-@pytest.mark.parametrize("change", OF_PLAIN, ids=name_of)
+@pytest.mark.parametrize("change", (*OF_PLAIN, *OF_KEYED), ids=name_of)
 def test_a_change_that_one_rule_alone_names(
-    plain: Path, tmp_path: Path, change: Callable[[Path], None]
+    request: pytest.FixtureRequest, tmp_path: Path, change: Callable[[Path], None]
 ) -> None:
-    folder = Path(shutil.copytree(plain, tmp_path / "run"))
-    assert failed(folder) == set()
-    change(folder)
-    assert failed(folder) == {name_of(change)}
-
-
-@pytest.mark.parametrize("change", OF_KEYED, ids=name_of)
-def test_a_change_of_a_keyed_run_that_one_rule_alone_names(
-    keyed: Path, tmp_path: Path, change: Callable[[Path], None]
-) -> None:
-    folder = Path(shutil.copytree(keyed, tmp_path / "run"))
+    run: Path = request.getfixturevalue("keyed" if change in OF_KEYED else "plain")
+    folder = Path(shutil.copytree(run, tmp_path / "run"))
     assert failed(folder) == set()
     change(folder)
     assert failed(folder) == {name_of(change)}

@@ -46,11 +46,8 @@ _MODELS: Final = {kind.topic: kind for kind in FIELD}
 _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
-_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
-_STREAM: Final = re.compile(rb',"(?:keyed|stream_block|stream_at)":(?:true|false|-?[0-9]+)')
-_BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
-_AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
-_DIGITS: Final = b"0123456789abcdef.+-"
+_COUNTED: Final = frozenset({"block", "keyed", "stream_block", "stream_at"})
+"""Fields that follow from what was counted, which is public, and look as they may."""
 
 Heard = tuple[CapturedMessage, Measurement | Offer]
 
@@ -78,6 +75,7 @@ def bus(e: Evidence, capture: CaptureLines) -> Findings:
             yield from steps.compare(part)
     if steps is not None:
         yield from steps.telling()
+    del steps  # what follows needs its room
     yield from seen.twice(blurred=capture.blurred)
     for where, text in capture.strange:
         yield Finding("bus", "", -1, f"{where}: neither Measurement nor Offer ({text})")
@@ -91,7 +89,8 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
         return f"on {topic!r}"
     if rules.digits:
         allowed |= OF_STREAM[topic]
-    if unlike := sorted(line.message.keys() ^ allowed):
+    told = {name for name, value in line.message.items() if value is not None}
+    if unlike := sorted((line.message.keys() ^ allowed) | (allowed - told)):
         return f"{topic} with a field too many, or one too few: {', '.join(unlike)}"
     try:
         message: Measurement | Offer = _MODELS[topic].model_validate_json(line.raw, strict=True)
@@ -104,8 +103,7 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
         fits = len(message.candidates) == rules.size and message.cipher < rules.size
         fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
         fits = fits and not rules.malformed_predictions(message.predictions)
-        named = (message.stream_block, message.stream_at)
-        fits = fits and (not rules.digits or None not in named) and max(message.position) < 1 << 31
+        fits = fits and max(message.position) < 1 << 31
     if not fits or message.k >= 1 << 31:
         return f"{topic} is not of this plant's shape"
     if rules.schedule is None:
@@ -204,7 +202,7 @@ class Steps:
         """Note what a message of a transition looks like, which carried or tested."""
         if isinstance(message, Measurement) and message.applied_k == -1:
             return  # a session's first has no x_after yet, in state 1 always
-        self._looks[line.topic, carries].setdefault(_shape(line.raw), line)
+        self._looks[line.topic, carries].setdefault(_shape(line.message), line)
 
     def telling(self) -> Findings:
         """Messages that look as none of their kind does in the other automaton state."""
@@ -219,15 +217,13 @@ def _at(line: CapturedMessage, rule: str, text: str) -> Finding:
     return Finding(rule, line.session, line.k, f"{line.where}: {text}")
 
 
-def _shape(raw: bytes) -> tuple[bytes, int]:
-    """A message's names, lengths and kinds of value: all that is left without digits.
-
-    Of a nonce and a tag that is their length; which block was announced last and which digits an
-    offer has follow from what was counted, and that is public.
-    """
-    keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
-    keyless = _STREAM.sub(b"", _BLOCK.sub(b"", keyless, 1))
-    return keyless.translate(None, _DIGITS), raw.count(b"[]")
+def _shape(message: dict[str, Any]) -> tuple[Any, ...]:
+    """A message's names in their order, and how long or of which kind each value is."""
+    kinds = message | dict.fromkeys(_COUNTED & message.keys())
+    return tuple(
+        (name, len(value) if isinstance(value, list | str) else type(value))
+        for name, value in kinds.items()
+    )
 
 
 class Seen:
@@ -254,19 +250,21 @@ class Seen:
 
     def twice(self, *, blurred: bool) -> Findings:
         """Messages that are unlike another of their number, and what serves or leaves twice."""
-        numbers, looks, nonces, named, positions = (
-            np.frombuffer(kept, np.int64)
-            for kept in (self._numbers, self._looks, self._nonces, self._named, self._positions)
-        )
-        if not blurred:
-            before, after = _again(numbers >> 1)
-            unlike = numbers[after[looks[before] != looks[after]]]
-            yield from self._told("wire", unlike, "differs from another of that number")
+        numbers = np.frombuffer(self._numbers, np.int64)
         if self._keys:
-            twice = numbers[_again(nonces)[1]]
+            twice = numbers[_again(np.frombuffer(self._nonces, np.int64))[1]]
             yield from self._told("once", twice, "carries a nonce that was there before")
+            self._nonces = array("q")
             first = numbers[numbers & 1 == 1]
             yield from self._told("once", first[_again(first)[1]], "is a second copy 0")
+            del first
+        if not blurred:
+            before, after = _again(numbers >> 1)
+            looks = np.frombuffer(self._looks, np.int64)
+            unlike = numbers[after[looks[before] != looks[after]]]
+            yield from self._told("wire", unlike, "differs from another of that number")
+        named = np.frombuffer(self._named, np.int64)
+        positions = np.frombuffer(self._positions, np.int64)
         order = np.argsort(named, kind="stable")
         number, place = named[order], positions[order]
         further, same = np.diff(place), np.diff(number) == 0
@@ -283,5 +281,6 @@ class Seen:
 def _again(values: Indices) -> tuple[Indices, Indices]:
     """Places of values that stood at an earlier place, the newest of which comes first."""
     order = np.argsort(values, kind="stable")
-    same = values[order[1:]] == values[order[:-1]]
+    ordered = values[order]
+    same = ordered[1:] == ordered[:-1]
     return order[:-1][same], order[1:][same]

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from runtime.files import read_regular
 from runtime.recording import decode, number_of, parts_of, raw_lines
@@ -20,8 +20,6 @@ from wyner.runs.marks import Segments
 from wyner.runs.run import TRACES, guess_logs
 from wyner.runs.seal import broken
 from wyner.runs.trace import Trace
-
-IDENTITY: Final = ("scenario", "fingerprint", "loop")
 
 
 def traces(e: Evidence) -> Findings:
@@ -52,19 +50,16 @@ def whole(e: Evidence) -> Findings:
 
 
 def _identity(e: Evidence) -> Iterator[str]:
-    manifest, expected = e.run.manifest, e.scenario.identity()
-    if manifest == {}:
-        yield "manifest.json: expected a JSON object"
-    told = [] if manifest is None else [("manifest.json", manifest)]
+    identity = e.scenario.identity()
+    due = {name: identity[name] for name in ("scenario", "fingerprint", "loop")}
+    told = [] if e.run.manifest is None else [("manifest.json", e.run.manifest, due)]
     for trace in e.ends():
         if trace.header:  # else killed before it, or it is gone
-            told.append((f"{trace.side}'s trace", trace.header))
-            if trace.header.get("vantage") != trace.side:
-                yield f"{trace.side}'s trace: vantage is {trace.header.get('vantage')!r}"
-    for what, values in told:
-        for name in IDENTITY:
-            if values.get(name) != expected[name]:
-                yield f"{what}: {name} is {values.get(name)}, the scenario's is {expected[name]}"
+            told.append((f"{trace.side}'s trace", trace.header, due | {"vantage": trace.side}))
+    for what, values, expected in told:
+        for name, value in expected.items():
+            if values.get(name) != value:
+                yield f"{what}: {name} is {values.get(name)!r}, expected {value!r}"
 
 
 def _recorded(e: Evidence) -> Iterator[str]:
@@ -152,10 +147,9 @@ def _as_the_tap_says(e: Evidence) -> Iterator[str]:
     first, captured = told.get("first_part"), told.get("captured")
     if not isinstance(first, int) or not isinstance(captured, int):
         yield f"{TAP_STATUS}: expected first_part and captured"
-    elif e.capture is None:
-        if captured:
-            yield f"{CAPTURE}: it is gone, the tap had written {captured} messages"
-    elif e.capture.dropped_parts <= first:
-        there = sum(count for part, count in e.capture.lines.items() if part >= first)
+        return
+    if e.capture is None or e.capture.dropped_parts <= first:
+        lines = {} if e.capture is None else e.capture.lines
+        there = sum(count for part, count in lines.items() if part >= first)
         if there < captured:
             yield f"the capture has {there} messages, the tap had written {captured}"

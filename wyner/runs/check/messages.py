@@ -24,7 +24,7 @@ def messages(e: Evidence) -> Findings:
     if isinstance(journal, JournalState) and (text := _unlike_inbox(plant, journal)):
         yield Finding("messages", "", -1, text)
     if e.controller is not None and not (plant.trace.gone or e.controller.gone):
-        yield from _in_order(e, Queue(e.controller, plant.trace), plant.received)
+        yield from _in_order(e, Queue(e.controller), plant.received)
 
 
 class WholeFrame(NamedTuple):
@@ -155,7 +155,6 @@ class Queue:
     ----------
     told : list of (str, bytes)
         Identifier and text of each, in the order in which they were queued.
-    delivered : list of bytes
     untold : set of bytes
         Messages whose lines a power failure took.
     gaps, begins, void : set of int
@@ -166,10 +165,9 @@ class Queue:
     wrong : list of str
     """
 
-    def __init__(self, trace: Trace, plant: Trace) -> None:
-        self.trace, self._plant = trace, plant
+    def __init__(self, trace: Trace) -> None:
+        self.trace = trace
         self.told: list[tuple[str, bytes]] = []
-        self.delivered: list[bytes] = []
         self.untold: set[bytes] = set()
         self.gaps, self.begins, self.void = set[int](), set[int](), set[int]()
         self.doubtful: dict[str, int] = {}
@@ -177,12 +175,12 @@ class Queue:
         self._known: dict[str, bytes] = {}
         self._restarted, self._died = True, False  # since the last was queued; since the last step
         self._lost = False  # maybe the journal, since the last was queued
-        self._session, self._k, latest = -1, -1, ""
-        for row, item in trace.walk("session", "k"):
+        session, latest = -1, ""
+        for row, item in trace.walk("session"):
             line, newest = item.line if isinstance(item, OtherLine) else item, ""
             if line is None:  # the session goes on: so does the journal
-                self._died = self._died and row[0] != self._session
-                self._session, self._k = row
+                self._died = self._died and row[0] != session
+                (session,) = row
             elif isinstance(line, Break):
                 self._restarted = self._died = True
                 if latest and not line.ended:
@@ -201,9 +199,6 @@ class Queue:
             latest = newest
 
     def _delivered(self, name: str, payload: bytes) -> None:
-        here = self.trace.sessions[self._session] if self._session >= 0 else ""
-        if not self._plant.may_lack(here, self._k):  # else its report may be lost there
-            self.delivered.append(payload)
         if self.gaps and name not in self._known:
             self._known[name] = payload
             self.untold.add(payload)
@@ -241,7 +236,7 @@ class Queue:
 
 
 def _in_order(e: Evidence, queue: Queue, received: list[WholeFrame]) -> Findings:
-    """The recovered messages are the queued ones, in order, and those that were delivered."""
+    """The recovered messages are the queued ones, in order."""
     told, trace, wrong, journal = queue.told, queue.trace, queue.wrong, e.journals["controller"]
     waiting = journal.waiting if isinstance(journal, JournalState) else ()
     untold = [message for message in waiting if message not in told]
@@ -250,9 +245,6 @@ def _in_order(e: Evidence, queue: Queue, received: list[WholeFrame]) -> Findings
     else:
         text = "is in the controller's journal, not in its trace"
         wrong += [f"message {name} {text}" for name, _ in untold]
-    arrived = {frame.payload for frame in received}
-    text = "counts as delivered, the plant has not recovered it"
-    wrong += [f"{payload!r} {text}" for payload in queue.delivered if payload not in arrived]
     places, session = {-1}, ""  # of the last that was recovered: messages may be alike
     for frame in received:
         allowed = set().union(*map(queue.following, places))

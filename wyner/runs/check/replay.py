@@ -53,14 +53,11 @@ class _Replay:
         self._fallback = Fallback.of(e.scenario)
         # A device is told of the fallback once a step is over: the input in force stood until then.
         self._may_stand = e.scenario.plant.kind == "python"
-        self._session, self._state = -1, e.rules.scheme.initial
-        self._p, self._k, self._place = 0, -1, 0
-        self._fresh: list[int] = []  # keys that were agreed and have not served
-        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
-        self._known = trace.cut is None
-        self._u: Vector = (0.0,) * e.rules.inputs
+        self._u: Vector = ()
+        self._place = 0
+        self._begin(-1, 0, ())
         if trace.cut is not None:
-            self._u = trace.cut.u or self._u
+            self._u, self._known = trace.cut.u or self._u, False
         if (cut := before(trace)) is not None:
             self._session, self._p, self._k = 0, cut.p, cut.k
 
@@ -81,8 +78,10 @@ class _Replay:
                 self._u, self._place = u, k + 1
 
     def _begin(self, session: int, k: int, u: Vector) -> None:
-        self._session, self._state, self._fresh = session, self._rules.scheme.initial, []
-        self._p, self._k, self._estimate, self._known = 0, -1, None, True
+        self._session, self._state = session, self._rules.scheme.initial
+        self._fresh: list[int] = []  # keys that were agreed and have not served
+        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
+        self._p, self._k, self._known = 0, -1, True
         if k == 0:  # it began again, without a journal
             self._u = (0.0,) * self._rules.inputs
         elif k != self._place:  # its journal was an older copy, or lines are lost
