@@ -23,8 +23,8 @@ from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.events import Event, Interrupted, Missed
-from protocol.link.session import CountedTransition, rules_of
-from protocol.messages import Measurement, Message, Offer
+from protocol.link.session import CountedTransition
+from protocol.messages import Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
@@ -32,12 +32,12 @@ from protocol.vectors import Vector
 from runtime.perform import CrashPoint
 from tests.campaigns.progress import Progress, arguments
 from tests.support.line import disowned
-from tests.support.once import Onlooker
 from tests.support.recorded_pair import law_of
 from tests.support.safety import differing_key, violations
 from tests.support.short_keys import short_keys
+from tests.support.watched import Watched
 from wyner.simulate.faults import Faults
-from wyner.simulate.network import Side, Simulation
+from wyner.simulate.network import Side
 
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
@@ -162,11 +162,10 @@ def faults_of(seed: int) -> tuple[Faults, float | None, int, bool]:
     return faults, draw.choice((None, 0.1)), steps, seed % 8 == 0
 
 
-class Watched(Simulation):
-    """A simulation whose copies are looked at as they leave, and its device as it is told of."""
+class Scheduled(Watched):
+    """A simulation whose device is looked at as it is told of."""
 
     def __init__(self, *args: Any, device: Acting | None = None, **kwargs: Any) -> None:
-        self.onlooker = Onlooker(rules_of(args[0]))
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
@@ -178,9 +177,7 @@ class Watched(Simulation):
         return super()._new_plant(incarnations)
 
     def send(self, to: Side, message: Message) -> None:
-        """Look at a message of the loop, and send it."""
-        if isinstance(message, Measurement | Offer):
-            self.onlooker.said(message)
+        """Send a message; an offer to a plant that acts may be the last of its session."""
         super().send(to, message)
         if isinstance(message, Offer) and self._device is not None and self.chance(MISLED):
             self.after(self.random.random() * 0.2, self._end_the_session)
@@ -196,7 +193,6 @@ class Watched(Simulation):
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
-        self.onlooker.traced(event)
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -246,7 +242,7 @@ def outcome_of(seed: int) -> Outcome:
         placed = device if step_s is not None else ActingStepped(device)
         own = partial(_placed, placed)
     try:
-        link = Watched(
+        link = Scheduled(
             scenario,
             law,
             seed=seed,

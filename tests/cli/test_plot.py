@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from wyner.cli.main import main
 from wyner.drawing.rows import draw_rows, in_words
 
@@ -79,7 +79,7 @@ def test_two_scenario_files_of_one_name_are_two_curves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A sweep's rows say of which file they are; they were drawn as one zigzag."""
-    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text_of("sustained")
     for name, wide in (("one", "0.1, 0.1"), ("two", "0.05, 0.05")):
         changed = text.replace("half_widths = [0.1, 0.1]", f"half_widths = [{wide}]")
         (tmp_path / f"{name}.toml").write_text(changed)

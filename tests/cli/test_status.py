@@ -12,7 +12,7 @@ from runtime.run_folder import (
     PLANT_STATUS,
     SCENARIO,
 )
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from wyner.cli.main import main
 
 pytestmark = pytest.mark.slow
@@ -129,7 +129,7 @@ def test_of_a_fleet_the_loops_that_are_not_well_are_named(
         told = {"health": health, "phase": "running", "t_ns": time.time_ns()}
         (tmp_path / name).mkdir()
         changed(run_dir, tmp_path / name, PLANT_STATUS, **told)
-        (tmp_path / name / SCENARIO).write_text((SCENARIOS / "packed.toml").read_text())
+        (tmp_path / name / SCENARIO).write_text(text_of("packed"))
     assert main(["status", str(tmp_path)]) == 1
     assert capsys.readouterr().out == (
         "1 of 2 loops without a warning\nwarning: b: plant: no step for 10 s\n"

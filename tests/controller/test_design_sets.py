@@ -17,11 +17,9 @@ from controller_service.sets.design_cache import design_path, load, store
 from controller_service.sets.terminal import feedback_gain, rakovic, terminal_set
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.scenario import Scenario
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import load_scenario, scenario_of
 from tests.support.size import size
 from wyner.cli.main import main
-
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
 
 def changed(scenario: Scenario, **fields: Any) -> Scenario:
@@ -35,12 +33,12 @@ def changed(scenario: Scenario, **fields: Any) -> Scenario:
 
 @pytest.fixture(scope="module")
 def paper() -> Scenario:
-    return load_scenario(SCENARIOS / "paper.toml")
+    return scenario_of("paper")
 
 
 @pytest.fixture(scope="module")
 def tank() -> Scenario:
-    return load_scenario(SCENARIOS / "quadruple-tank.toml")
+    return scenario_of("quadruple-tank")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +110,7 @@ def steered(scenario: Scenario, design: Design, numbers: set[int]) -> None:
 
 @pytest.mark.parametrize("name", ["paper", pytest.param("quadruple-tank", marks=pytest.mark.slow)])
 def test_every_corner_of_a_set_is_steered_into_the_set_before(name: str) -> None:
-    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    scenario = scenario_of(name)
     # The tank's first sets have the hard geometry; the oracle is slow, so not all of them.
     design = synthesise(changed(scenario, horizon=6 if name == "quadruple-tank" else 60))
     steered(scenario, design, {1, 2, 3, 6, design.horizon})

@@ -17,9 +17,9 @@ from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
 from protocol.scenario import LAWS as TABLES
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
-from runtime.shipped import SCENARIOS
 from runtime.user_code import UserCodeError
 from tests.support.safety import violations
+from tests.support.scenarios import text_of
 from wyner.simulate.engine import simulate_runs
 from wyner.simulate.network import Simulation
 
@@ -65,7 +65,7 @@ class EndsLaw(ProgramLaw):
 
 
 def table(**control: Any) -> dict[str, Any]:
-    data = tomllib.loads((SCENARIOS / "sustained.toml").read_text())
+    data = tomllib.loads(text_of("sustained"))
     data["name"] = "ends"
     data["control"] |= {"law": "ends", "horizon": 60} | control
     return data

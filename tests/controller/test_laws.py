@@ -1,7 +1,6 @@
 """The laws: one state and many to the same bit, constraints, and the index that falls."""
 
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,21 +12,20 @@ from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, synthesise
 from protocol.convex import Polytope, corners
 from protocol.scenario import Scenario
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import scenario_of
 from tests.support.size import size
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 LAWS = ("paper", "sustained")
 
 
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return synthesise(load_scenario(SCENARIOS / "paper.toml"))
+    return synthesise(scenario_of("paper"))
 
 
 @pytest.fixture(scope="module", params=LAWS)
 def law(request: pytest.FixtureRequest, design: Design) -> CandidateLaw:
-    return make_law(load_scenario(SCENARIOS / f"{request.param}.toml"), design)
+    return make_law(scenario_of(request.param), design)
 
 
 def states(design: Design, count: int, seed: int) -> np.ndarray:
@@ -109,7 +107,7 @@ def test_outside_says_by_how_much(law: CandidateLaw) -> None:
 
 
 def test_a_cost_without_a_unique_minimiser_is_refused(design: Design) -> None:
-    data = load_scenario(SCENARIOS / "paper.toml").model_dump(exclude_none=True)
+    data = scenario_of("paper").model_dump(exclude_none=True)
     data["control"]["costs"] = ({"next_state": 1.0}, {})
     with pytest.raises(ProgramError, match=r"control\.costs\.1"):
         make_law(Scenario.model_validate(data), design)

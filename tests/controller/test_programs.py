@@ -1,6 +1,5 @@
 """Programs of the general route: several inputs and states, and its solvers."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,14 @@ from controller_service.laws.programs import General, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, synthesise
 from protocol.scenario import Scenario
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import scenario_of
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 TOP = np.array([6.0, 6.0, 1.7, 1.3])
 
 
 @pytest.fixture(scope="module")
 def tank() -> Scenario:
-    return load_scenario(SCENARIOS / "quadruple-tank.toml")
+    return scenario_of("quadruple-tank")
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +86,7 @@ def test_solvers_admit_that_there_is_no_answer(solve: Any) -> None:
 
 
 def test_the_general_route_gives_what_the_planar_one_gives() -> None:
-    scenario = load_scenario(SCENARIOS / "sustained.toml")
+    scenario = scenario_of("sustained")
     control = scenario.control.model_copy(update={"horizon": 40})
     scenario = scenario.model_copy(update={"control": control})
     design = synthesise(scenario)

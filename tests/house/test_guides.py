@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -23,16 +22,15 @@ from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.addresses import free_endpoints
 from runtime.recording import MARKS
 from runtime.scenario_file import load_scenario
-from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import LADDER, named
+from tests.support.programs import ROOT, started
 from tests.support.recorded_pair import RecordedPair
 from tests.support.scenarios import text_of
 from wyner.cli.main import main
 
-ROOT = Path(__file__).resolve().parents[2]
 GUIDES = (ROOT / "docs" / "guides.md").read_text(encoding="utf-8")
 EXAMPLES = ROOT / "examples"
 
@@ -94,7 +92,7 @@ def test_the_attack_of_the_page_runs_live(
 def test_the_tables_of_the_page_make_an_attack_on_a_scenario_visible(tmp_path: Path) -> None:
     blocks = re.findall(r"^```toml\n(.*?)^```$", guide("Attacks"), re.DOTALL | re.MULTILINE)
     own = tmp_path / "own.toml"
-    own.write_text((SCENARIOS / "packed.toml").read_text() + "\n".join(blocks))
+    own.write_text(text_of("packed") + "\n".join(blocks))
     scenario = load_scenario(own)
     assert scenario.attack is not None
     assert scenario.keys is not None
@@ -190,16 +188,14 @@ def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) 
     )
     with (
         ZenohBus(listen=[end]) as field,
-        subprocess.Popen(
-            [sys.executable, "-m", "logger_service", "--connect", f"field={end}"],
+        started(
+            *("-m", "logger_service", "--connect", f"field={end}"),
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
-            text=True,
         ) as process,
     ):
         publisher = field.publisher(key_of(Measurement, DEFAULT_LOOP))
-        assert process.stdout is not None
         lines: list[str] = []
         read = process.stdout.readline
         ready = threading.Thread(target=lambda: lines.append(read()), daemon=True)

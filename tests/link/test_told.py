@@ -34,10 +34,10 @@ from protocol.messages.base import Part
 from protocol.secret.blocks import ExtractionFailed
 from runtime import journal as journals
 from runtime.perform import Do, perform
-from runtime.shipped import SCENARIOS
 from tests.support.mail import Mail, mail
 from tests.support.pair import SIDES, Name
 from tests.support.recorded_pair import RecordedPair
+from tests.support.scenarios import text_of
 
 TOLD = Path(__file__).parent / "told"
 PASSING = {"v", "t_ns", "text", "detail"}
@@ -365,7 +365,7 @@ def keys_differ(folder: Path) -> Story:
 
 def a_device_acts(folder: Path) -> Story:
     """A plant that nobody can put back: a death loses its step."""
-    text = (SCENARIOS / "packed-double-integrator.toml").read_text()
+    text = text_of("packed-double-integrator")
     _, plant, rest = text.partition("[plant]\n")
     plant, defender, rest = rest.partition("[defender.disturbance]\n")
     matrices = "".join(line for line in plant.splitlines(True) if line[:3] in ("A =", "B ="))

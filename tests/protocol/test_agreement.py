@@ -2,7 +2,6 @@
 
 import math
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,12 @@ from hypothesis import strategies as st
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.arrays import Array
 from protocol.link.session import rules_of
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import scenario_of
 
 Case = tuple[tuple[float, ...], tuple[tuple[float, ...], ...], int, tuple[float, ...]]
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
-PAPER = rules_of(load_scenario(SCENARIOS / "paper.toml")).agreement
-TANKS = rules_of(load_scenario(SCENARIOS / "quadruple-tank.toml")).agreement
+PAPER = rules_of(scenario_of("paper")).agreement
+TANKS = rules_of(scenario_of("quadruple-tank")).agreement
 
 ROUNDING = 1e-11
 """What a gauge may be off by where a state of some tens is compared with half-widths of 0.1."""
@@ -252,7 +250,7 @@ def test_a_box_and_its_rows_have_one_gauge(case: tuple[tuple[float, ...], list[f
 
 
 def test_rows_in_pairs_are_seen_to_be_a_box() -> None:
-    rows = load_scenario(SCENARIOS / "quadruple-tank.toml").defender.disturbance.rows()
+    rows = scenario_of("quadruple-tank").defender.disturbance.rows()
     assert Gauge.from_rows(*rows).half_widths == (0.03, 0.03, 0.03, 0.03)
     lopsided = (rows[0], (0.03, 0.04, *rows[1][2:]))
     assert Gauge.from_rows(*lopsided).half_widths is None

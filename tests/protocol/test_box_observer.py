@@ -6,8 +6,7 @@ import pytest
 
 from protocol.agreement import predict
 from protocol.box_observer import Box, BoxObserver
-from runtime.scenario_file import load_scenario
-from runtime.shipped import SCENARIOS
+from runtime.scenario_file import scenario_of
 
 MOTOR = BoxObserver(
     A=((1.0, 0.0909), (0.0, 0.8187)),
@@ -100,7 +99,7 @@ def test_how_far_apart_inputs_must_be_where_the_position_alone_is_read(
     name: str, noise: float, needed: float
 ) -> None:
     """The numbers of docs/concepts.md."""
-    s = load_scenario(SCENARIOS / f"{name}.toml")
+    s = scenario_of(name)
     widths = s.defender.disturbance.half_widths
     assert widths is not None
     position = ((1.0, *(0.0,) * (s.n - 1)),)

@@ -8,11 +8,11 @@ import pytest
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 
 
 def tables(name: str) -> dict[str, Any]:
-    return tomllib.loads((SCENARIOS / f"{name}.toml").read_text())
+    return tomllib.loads(text_of(name))
 
 
 def made(of: dict[str, Any]) -> Scenario:

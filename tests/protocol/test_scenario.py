@@ -8,32 +8,22 @@ from typing import Any
 import pytest
 
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import load_scenario, scenario_of
+from tests.support.scenarios import put, text_of
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 Table = dict[str, Any]
-DELETE = object()
 
 
 def paper() -> Table:
-    return tomllib.loads((SCENARIOS / "paper.toml").read_text())
+    return tomllib.loads(text_of("paper"))
 
 
 def with_value(path: str, value: object) -> Table:
     """The paper's file with one field set, or without it."""
     data = paper()
-    *tables, last = path.split(".")
-    at: Any = data
     if path == "control.costs.0.next_state.1":
         data["control"]["costs"][0]["next_state"] = [1.0, 1.0]
-    for name in tables:
-        at = at[int(name)] if name.isdigit() else at.setdefault(name, {})
-    if value is DELETE:
-        del at[last]
-    elif last.isdigit():
-        at[int(last)] = value
-    else:
-        at[last] = value
+    put(data, path, value)
     return data
 
 
@@ -51,7 +41,7 @@ def problems(data: Table) -> tuple[str, ...]:
     [
         ("name", "two words", "string should match pattern"),
         ("nmae", "typo", "no such field"),
-        ("plant", DELETE, "expected here, and not given"),
+        ("plant", None, "expected here, and not given"),
         ("plant.A", [[1.0, 0.1], [0.0]], "expected rows of one length"),
         ("plant.A", [], "expected at least one row"),
         ("plant.A", [[1.0, 0.1, 0.0], [0.0, 1.0, 0.0]], "got shape (2, 3), expected (2, 2)"),
@@ -78,7 +68,7 @@ def problems(data: Table) -> tuple[str, ...]:
         ),
         ("control.horizon", 0, "greater than or equal to 1"),
         ("control.horizon", 2.5, "valid integer"),
-        ("control.gain", DELETE, "expected gain = [[...]] or a table regulator"),
+        ("control.gain", None, "expected gain = [[...]] or a table regulator"),
         ("control.gain", [[1.0]], "got shape (1, 1), expected (1, 2)"),
         ("control.inputs.half_widths", [6.0, 6.0], "got shape 2, expected 1"),
         ("control.costs.0.next_state", [1.0], "got shape 1, expected 2"),
@@ -87,7 +77,7 @@ def problems(data: Table) -> tuple[str, ...]:
         ("control.costs.0.next_state.1", -1.0, "greater than or equal to 0"),
         ("control.costs", [{"input": 1.0}], "expected one for each of the 2 candidates"),
         ("secrecy.alpha", 0.9, "greater than or equal to 1"),
-        ("secrecy.alpha", DELETE, "expected here, and not given"),
+        ("secrecy.alpha", None, "expected here, and not given"),
         ("secrecy.candidates", 1, "greater than or equal to 2"),
         ("link.fallback", "panic", "expected 'hold', 'zero' or 'regulator'"),
         ("link.repeats_per_period", 0, "greater than or equal to 1"),
@@ -102,7 +92,7 @@ def problems(data: Table) -> tuple[str, ...]:
 def test_a_wrong_field_is_one_line_with_its_path(path: str, value: object, expected: str) -> None:
     (line,) = problems(with_value(path, value))
     # what concerns a table as a whole is said of the table
-    named = {"control.gain": "control" if value is DELETE else path}.get(path, path)
+    named = {"control.gain": "control" if value is None else path}.get(path, path)
     for table in ("defender.disturbance", "control.inputs"):
         named = table if path.startswith(f"{table}.") and "shape" in expected else named
     named = "defender.disturbance" if path == "defender.disturbance.H" else named
@@ -224,7 +214,7 @@ def test_the_eavesdropper_is_told_the_large_set_and_no_alpha() -> None:
 
 
 def test_the_papers_constants() -> None:
-    s = load_scenario(SCENARIOS / "paper.toml")
+    s = scenario_of("paper")
     assert s.plant.A == ((1.0, 0.0975), (0.0, 0.9512))
     assert s.plant.B == ((0.0246,), (0.4877,))
     assert s.plant.period_s == 0.1

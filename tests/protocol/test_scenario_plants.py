@@ -1,11 +1,13 @@
 """Scenarios of plants that are no matrices: two disturbance sets, fallbacks, certificates."""
 
+from copy import deepcopy
 from typing import Any
 
 import pytest
 
 import wyner  # noqa: F401 - who imports it knows every law and every kind of plant
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from tests.support.scenarios import put
 
 ODE: dict[str, Any] = {
     "name": "pendulum",
@@ -28,18 +30,9 @@ ODE: dict[str, Any] = {
 
 def changed(changes: dict[str, Any]) -> dict[str, Any]:
     """The scenario with fields set by path; None takes one out."""
-    import copy
-
-    data = copy.deepcopy(ODE)
+    data = deepcopy(ODE)
     for path, value in changes.items():
-        *parents, last = path.split(".")
-        place = data
-        for name in parents:
-            place = place.setdefault(name, {})
-        if value is None:
-            del place[last]
-        else:
-            place[last] = value
+        put(data, path, value)
     return data
 
 

@@ -28,10 +28,10 @@ from runtime.run_folder import (
     PLANT_STATUS,
     PLANT_TRACE,
 )
-from runtime.shipped import SCENARIOS
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
+from tests.support.scenarios import text_of
 from tests.support.traces import events_of
 from wyner.cli.main import main
 
@@ -221,7 +221,7 @@ def test_the_attack_of_a_loops_scenario_is_made_in_a_fleet_too(
     (tmp_path / "heard.py").write_text(ATTACK)
     attacked = tmp_path / "attacked.toml"
     table = f'\n[attack]\nkind = "{tmp_path}/heard.py:Heard"\nonset = 5\nknows = ["bus"]\n'
-    attacked.write_text((SCENARIOS / "sustained.toml").read_text() + table)
+    attacked.write_text(text_of("sustained") + table)
     path = tmp_path / "fleet.toml"
     path.write_text(ONE + TWO + f'scenario = "{attacked}"\n')
     hosts = Hosts(sustained_law, tmp_path / "run", "--fleet", str(path))

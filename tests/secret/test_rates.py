@@ -6,10 +6,10 @@ from itertools import pairwise
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Offer
 from protocol.scenario import Keys, Scenario
+from tests.support.watched import Watched
 from wyner.simulate.faults import Faults
-from wyner.simulate.network import Side, Simulation
 
 
 def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario:
@@ -17,18 +17,10 @@ def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario
     return scenario.model_copy(update={"keys": keys})
 
 
-class Listening(Simulation):
-    """Notes of every message what everyone can see of it, beside the state it was sent in."""
-
-    def __init__(self, *args: object, **more: object) -> None:
-        self.seen: list[tuple[str, int, int, int]] = []
-        super().__init__(*args, **more)  # type: ignore[arg-type]
-
-    def send(self, to: Side, message: Message) -> None:
-        if isinstance(message, Measurement | Offer):
-            named = message.heard if isinstance(message, Offer) else message.applied_copy
-            self.seen.append((message.topic, message.k, message.copy_number, named))
-        super().send(to, message)
+def seen(message: Measurement | Offer) -> tuple[str, int, int, int]:
+    """What everyone can see of a message, beside the state it was sent in."""
+    named = message.heard if isinstance(message, Offer) else message.applied_copy
+    return message.topic, message.k, message.copy_number, named
 
 
 @pytest.mark.long
@@ -40,7 +32,7 @@ def test_copies_do_not_tell_the_automatons_state(
     A control beside each: one in ten of state 2 told otherwise moves it by more than 4.
     """
     faults = Faults(loss=0.2, repeat=0.1, delay_s=0.04)
-    simulation = Listening(
+    simulation = Watched(
         keyed(sustained, 0.3), sustained_law, seed=2, payloads=(b"x" * 1500,), faults=faults,
         step_s=0.1,
     )  # fmt: skip
@@ -48,15 +40,16 @@ def test_copies_do_not_tell_the_automatons_state(
     role = {t.k: t.role for t in history.plant.values()}
     assert len(role) + history.missed > 10_000
     assert history.missed > 100
+    said = [seen(m) for m in simulation.sent if isinstance(m, Measurement | Offer)]
     ks = sorted(role)
     gaps = [(str(role[k]), int(k - before > 1)) for before, k in pairwise(ks)]
     tables = {"steps missed before it": gaps}
     for topic in ("measurement", "offer"):
         for place in (2, 3):  # the copy's own number, and the partner's copy that it names
             tables[f"{topic} {place}"] = [
-                (str(role[seen[1]]), int(seen[place]))
-                for seen in simulation.seen
-                if seen[0] == topic and seen[1] in role
+                (str(role[one[1]]), int(one[place]))
+                for one in said
+                if one[0] == topic and one[1] in role
             ]
     for name, table in tables.items():
         assert abs(_z(Counter(table))) < 4, name

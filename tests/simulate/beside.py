@@ -11,6 +11,7 @@ from controller_service.laws.base import CandidateLaw
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario
 from tests.support.safety import violations
+from tests.support.watched import Watched
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import History, Simulation
@@ -86,7 +87,7 @@ def through_deaths_and_losses(
     """Four runs, each until its one message has arrived exactly once; seeds 0 to 3."""
     common: dict[str, Any] = {"payloads": (b"a",), "faults": faults, "step_s": step_s}
     for seed in range(4):
-        both = Simulation(scenario, law, seed=seed, **common, **more)
+        both = Watched(scenario, law, seed=seed, **common, **more)
         history = both.run(seconds=4000 * step_s, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
         assert list(violations(history, (b"a",))) == []
         assert history.crashes > 0

@@ -1,7 +1,5 @@
 """The engine is the same system: every number of every step, against the scalar functions."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,7 +24,6 @@ from wyner.simulate.engine import (
 from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.taps import listen
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
 
 

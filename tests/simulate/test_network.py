@@ -9,8 +9,8 @@ from controller_service.laws.base import CandidateLaw
 from protocol.scenario import Scenario
 from tests.support.safety import violations
 from tests.support.size import size
+from tests.support.watched import Watched
 from wyner.simulate.faults import Faults
-from wyner.simulate.network import Simulation
 
 PAYLOADS = (b"first", b"second message", b"3")
 
@@ -32,7 +32,7 @@ def test_safety_always_and_delivery_once_all_is_well(
     network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
     faults = NETWORKS[network]
-    sim = Simulation(
+    sim = Watched(
         sustained, sustained_law, seed=seed, payloads=PAYLOADS, faults=faults, step_s=step_s
     )
     history = sim.run(seconds=900, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
@@ -48,7 +48,7 @@ def test_safety_always_and_delivery_once_all_is_well(
 
 def test_a_seed_replays(sustained: Scenario, sustained_law: CandidateLaw) -> None:
     def once() -> object:
-        sim = Simulation(
+        sim = Watched(
             sustained, sustained_law, seed=3, payloads=PAYLOADS, faults=NETWORKS["everything"]
         )
         history = sim.run(seconds=20)

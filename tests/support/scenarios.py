@@ -16,6 +16,21 @@ def changed(name: str, **tables: dict[str, Any]) -> Scenario:
     return parse_scenario(data, name)
 
 
+def put(tables: dict[str, Any], path: str, value: Any) -> None:
+    """Another value in a field of a file's tables, by the names and places on the way to it.
+
+    None takes the field away.
+    """
+    *parents, last = path.split(".")
+    at: Any = tables
+    for name in parents:
+        at = at[int(name)] if isinstance(at, list) else at.setdefault(name, {})
+    if value is None:
+        del at[last]
+    else:
+        at[int(last) if isinstance(at, list) else last] = value
+
+
 def text_of(name: str, *changes: tuple[str, str]) -> str:
     """The text of one, with other pieces in the place of some, each of which is there once."""
     text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")

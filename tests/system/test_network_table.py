@@ -7,7 +7,7 @@ import pytest
 
 from runtime.run_folder import PLANT_TRACE
 from runtime.scenario_file import load_scenario
-from runtime.shipped import SCENARIOS
+from tests.support.scenarios import text_of
 from tests.support.size import size
 from tests.support.traces import events_of
 from wyner.cli.main import main
@@ -38,7 +38,7 @@ def test_a_live_loop_misses_every_step_that_the_table_takes(name: str, tmp_path:
     to the one computed (`test_the_share_computed_is_the_share_counted`).
     """
     up, down = TABLES[name]
-    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text_of("sustained")
     file, run_dir = tmp_path / f"{name}.toml", tmp_path / "run"
     file.write_text(f"{text}\n[network.to_controller]\n{up}\n[network.to_plant]\n{down}")
     run = ["up", "--scenario", str(file), "--run-dir", str(run_dir)]

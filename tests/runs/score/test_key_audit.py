@@ -14,7 +14,7 @@ from runtime.chance import fresh_nonce
 from runtime.logs import logger
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import scenario_of
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import RotatingLog, mirror_line
 from tap_service.inference.miss_rate import ALL
@@ -30,7 +30,7 @@ HeardBy = Callable[[str, int], bool]
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario(SCENARIOS / "keys.toml")
+    return scenario_of("keys")
 
 
 def message(topic: str, k: int) -> Offer | Measurement:
