@@ -74,7 +74,9 @@ def test_figure_6_by_hand() -> None:
 # --- over runs ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank", "pendulum"])
+@pytest.mark.parametrize(
+    "name", ["paper", "sustained", "packed", "quadruple-tank", "pendulum", "encoder", "noisy"]
+)
 def test_it_agrees_with_honest_runs(tmp_path: Path, name: str) -> None:
     assert recorded(tmp_path, name) == []
     ends = read_evidence(tmp_path).ends()

@@ -109,6 +109,22 @@ def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Pa
     assert status["alarms"]["watched"] > size(100, 400)
 
 
+def test_an_alarm_that_a_killed_controller_tells_again_is_right(tmp_path: Path) -> None:
+    """It was traced, and not saved."""
+    loop = RecordedPair(tmp_path / "run", name="watched")
+    loop.run(lambda: loop.controller.state.keys.stream.left > 100)
+    loop.plant.stepper.plant = Ghost(loop.plant)
+    loop.crash_at("controller", after=1, since="alarm")
+    loop.run(lambda: loop.lives["controller"] == 2)
+    until = loop.transitions + 5
+    loop.run(lambda: loop.controller.state.record.link.transitions > until)
+    loop.stop()
+    lines = read_lines(loop.folder / CONTROLLER_TRACE)
+    first, again, *_ = [line for line in lines if line["event"] == "alarm"]
+    assert first == again
+    assert "alarms" not in failed(loop.folder)
+
+
 def test_each_field_that_is_otherwise_is_noticed(attacked: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(attacked, tmp_path / "run"))
     alarm = ("session", "j", "k", "reading", "reason", "candidate", "expected", "gauge")
