@@ -8,7 +8,6 @@ import re
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator
-from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -59,21 +58,23 @@ def bus(e: Evidence, capture: CaptureLines) -> Findings:
         e.run.forget("controller")
     steps = None if e.plant is None else Steps(e, e.plant, capture)
     seen, tags = Seen(e), dict[tuple[str, int], str]()
-    lines = iter(capture)
-    while some := list(islice(lines, AT_ONCE)):
-        part: list[Heard] = []
-        for line in some:
-            message = _model(e, line)
-            if isinstance(message, str):
-                yield _at(line, "bus", message)
-                continue
-            part.append((line, message))
-            seen.take(line, message)
-            if tags.setdefault((message.session, message.block), message.tag) != message.tag:
-                yield _at(line, "same-keys", f"block {message.block} had another tag before")
-        if steps is not None:
+    part: list[Heard] = []
+    for line in capture:
+        message = _model(e, line)
+        if isinstance(message, str):
+            yield _at(line, "bus", message)
+            continue
+        seen.take(line, message)
+        if tags.setdefault((message.session, message.block), message.tag) != message.tag:
+            yield _at(line, "same-keys", f"block {message.block} had another tag before")
+        if steps is None:
+            continue
+        part.append((line, message))
+        if len(part) == AT_ONCE:  # not one more: they take most room
             yield from steps.compare(part)
+            part = []
     if steps is not None:
+        yield from steps.compare(part)
         yield from steps.telling()
     del steps  # what follows needs its room
     yield from seen.twice(blurred=capture.blurred)
