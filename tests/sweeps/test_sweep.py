@@ -207,7 +207,7 @@ def test_the_same_rows_from_processes(tmp_path: Path, capsys: pytest.CaptureFixt
     rows_of(path, tmp_path / "a.csv")
     assert main(["sweep", str(path), "--jobs", "2", "--output", str(tmp_path / "b.csv")]) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert "18 rows in" in capsys.readouterr().out
+    assert "18 rows, " in capsys.readouterr().out
 
 
 @pytest.mark.long

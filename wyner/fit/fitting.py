@@ -23,7 +23,7 @@ from runtime.progress import duration
 from wyner.fit.conformal import CONFIDENCE, conformal_scale, template, violation_bound
 from wyner.fit.identification import ROUNDED, FitError, identify
 from wyner.fit.plan import Plan
-from wyner.fit.sessions import excite, residuals, residuals_under
+from wyner.fit.sessions import Own, excite, residuals, residuals_under
 
 Tables = dict[str, Any]
 
@@ -46,7 +46,7 @@ SMALLEST: Final = 1e-9
 
 
 def fit(
-    tables: Mapping[str, Any], path: Path, plan: Plan, violation: float
+    tables: Mapping[str, Any], path: Path, plan: Plan, violation: float, own: Own | None = None
 ) -> tuple[Tables, Scenario]:
     """Fit a scenario to its plant; standard error has a line on each stage.
 
@@ -61,6 +61,8 @@ def fit(
     plan : Plan
     violation : float
         The share of sessions that may leave D_c, for its scale.
+    own : Stepped or PlantAdapter, optional
+        A plant in place of the one that the tables name.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def fit(
     """
     folder = path.parent
     blank = _blank(tables, str(path))
-    x, u = _excited(blank, folder, plan)
+    x, u = _excited(blank, folder, plan, own)
     defender = {**tables.get("defender", {})}
     defender.pop("calibration", None)
     if not {"A", "B"} <= defender.keys():
@@ -94,13 +96,13 @@ def fit(
     errors = residuals(x, u, A, B)
     _check_disturbed(template(errors), x)
     pilot = stated(_box(template(errors) * 1.1, noise))
-    shape = template(residuals_under(pilot, folder, plan, range(plan.few)))
+    shape = template(residuals_under(pilot, folder, plan, range(plan.few), own))
     widths = _box(shape * SPARE, noise)
     sessions = range(plan.few)
     for number in range(1, ROUNDS + 1):
         scenario = stated(widths)
         sessions = _next(sessions, plan)
-        scores = _scores(residuals_under(scenario, folder, plan, sessions), widths)
+        scores = _scores(residuals_under(scenario, folder, plan, sessions, own), widths)
         scale = conformal_scale(scores.tolist(), violation)
         _tell(f"round {number}: scale {scale:.4f} of half-widths {widths.round(6).tolist()}")
         as_small_as_may_be = (_box(widths * scale, noise) > widths * scale).all()
@@ -114,7 +116,7 @@ def fit(
             "on the inputs"
         )
     _tell("frozen; fresh sessions under this law")
-    fresh = residuals_under(scenario, folder, plan, _next(sessions, plan))
+    fresh = residuals_under(scenario, folder, plan, _next(sessions, plan), own)
     exceeded = int((_scores(fresh, widths) > 1 + 1e-9).sum())
     defender["calibration"] = {
         "sessions": plan.sessions,
@@ -131,10 +133,10 @@ def _tell(line: str) -> None:
     print(f"wyner: {line}", file=sys.stderr)
 
 
-def _excited(blank: Scenario, folder: Path, plan: Plan) -> tuple[Array, Array]:
+def _excited(blank: Scenario, folder: Path, plan: Plan, own: Own | None) -> tuple[Array, Array]:
     """Readings and inputs of excited sessions; they tell how long the others will take."""
     began = time.monotonic()
-    x, u = excite(blank, folder, plan)
+    x, u = excite(blank, folder, plan, own)
     pace = (time.monotonic() - began) / (plan.few * plan.excite_steps)
     follow = plan.few + 2 * plan.sessions
     _tell(

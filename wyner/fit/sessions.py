@@ -8,6 +8,7 @@ import numpy as np
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.progress import shown_progress
 from controller_service.sets.design import SynthesisError
+from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.registry import open_plant
 from protocol.agreement import Gauge
 from protocol.arrays import Array
@@ -16,6 +17,8 @@ from protocol.scenario import Scenario
 from protocol.vectors import Vector
 from wyner.fit.plan import Plan
 from wyner.simulate.engine import Law, simulate_runs
+
+Own = Stepped | PlantAdapter
 
 EXCITED: Final = 1_000_000
 """Number of the first excited session, so that none shares its draws with a session of the law."""
@@ -47,7 +50,9 @@ def _reach(scenario: Scenario) -> Array:
     return np.full(scenario.m, float((h / np.abs(H).sum(axis=1)).min()))
 
 
-def excite(scenario: Scenario, folder: Path, plan: Plan) -> tuple[Array, Array]:
+def excite(
+    scenario: Scenario, folder: Path, plan: Plan, own: Own | None = None
+) -> tuple[Array, Array]:
     """Apply random inputs, beside u = K x where ``control.gain`` is stated.
 
     Parameters
@@ -58,6 +63,8 @@ def excite(scenario: Scenario, folder: Path, plan: Plan) -> tuple[Array, Array]:
         Where the files that it names are looked for.
     plan : Plan
         An unstable plant wants many short sessions.
+    own : Stepped or PlantAdapter, optional
+        A plant in place of the one that the scenario names.
 
     Returns
     -------
@@ -66,10 +73,13 @@ def excite(scenario: Scenario, folder: Path, plan: Plan) -> tuple[Array, Array]:
     """
     alone = scenario.model_copy(update={"network": None})
     runs = range(EXCITED, EXCITED + plan.few)
-    return _recorded(alone, _Excitation(alone, plan), folder, runs, plan.excite_steps, plan.seed)
+    law = _Excitation(alone, plan)
+    return _recorded(alone, law, folder, own, runs, plan.excite_steps, plan.seed)
 
 
-def residuals_under(scenario: Scenario, folder: Path, plan: Plan, runs: range) -> Array:
+def residuals_under(
+    scenario: Scenario, folder: Path, plan: Plan, runs: range, own: Own | None = None
+) -> Array:
     """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n).
 
     Of readings: where sensors are noisy each is d + n(k+1) - A n(k). A step that the network missed
@@ -90,7 +100,7 @@ def residuals_under(scenario: Scenario, folder: Path, plan: Plan, runs: range) -
             f"{error} (D_c has half-widths {[float(f'{w:.4g}') for w in widths]}: a smaller "
             "--amplitude shows less of what the model leaves out)"
         ) from None
-    x, u = _recorded(scenario, law, folder, runs, plan.steps, plan.seed)
+    x, u = _recorded(scenario, law, folder, own, runs, plan.steps, plan.seed)
     return residuals(x, u, np.array(scenario.A), np.array(scenario.B))
 
 
@@ -101,7 +111,13 @@ def residuals(x: Array, u: Array, A: Array, B: Array) -> Array:
 
 
 def _recorded(
-    scenario: Scenario, law: Law, folder: Path, runs: range, steps: int, seed: int
+    scenario: Scenario,
+    law: Law,
+    folder: Path,
+    own: Own | None,
+    runs: range,
+    steps: int,
+    seed: int,
 ) -> tuple[Array, Array]:
     """Readings and inputs of sessions, the plant itself opened for each."""
     made = simulate_runs(
@@ -112,7 +128,7 @@ def _recorded(
         steps=steps,
         record=True,
         folder=folder,
-        plant=lambda: open_plant(scenario, folder),
+        plant=lambda: open_plant(scenario, folder, own),
     )
     assert made.x is not None
     assert made.u is not None

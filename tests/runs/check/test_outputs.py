@@ -9,9 +9,7 @@ import pytest
 from protocol.box_observer import Box, BoxObserver, Observed
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from runtime.shipped import SCENARIOS
 from tests.runs.check.mutants import unnoticed
-from tests.support import recorded_pair
 from tests.support.checked_runs import failed
 from tests.support.pair import SIDES
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
@@ -47,23 +45,17 @@ TWO = (
 """The encoder beside a poor sensor of a mixture of position and speed."""
 
 
-def of_two_outputs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], int]:
+def of_two_outputs(folder: Path) -> tuple[set[str], int]:
     """The checks that a run of two outputs fails, and its keys."""
-    text = (SCENARIOS / "encoder.toml").read_text()
-    for old, new in TWO:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "encoder.toml").write_text(text)
-    monkeypatch.setattr(recorded_pair, "SCENARIOS", folder)
-    loop = RecordedPair(folder / "run", b"hi", name="encoder")
+    loop = RecordedPair(folder / "run", b"hi", name="encoder", changes=TWO)
     loop.run(lambda: loop.transitions >= 120)
     loop.stop()
     lines = read_lines(loop.folder / PLANT_TRACE)
     return failed(loop.folder), sum(line.get("symbol", -1) >= 0 for line in lines)
 
 
-def test_a_clean_run_of_two_outputs_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, keys = of_two_outputs(tmp_path, monkeypatch)
+def test_a_clean_run_of_two_outputs_passes(tmp_path: Path) -> None:
+    found, keys = of_two_outputs(tmp_path)
     assert found == set()
     assert keys > 50
 
@@ -80,7 +72,7 @@ def test_ends_that_refuse_a_key_of_two_outputs_fail_the_second_opinion_alone(
         return found._replace(possible=(0, 1)) if y_next[0] > 0.05 else found
 
     monkeypatch.setattr(BoxObserver, "step", wary)
-    found, _ = of_two_outputs(tmp_path, monkeypatch)
+    found, _ = of_two_outputs(tmp_path)
     assert found == {"paper"}
 
 
