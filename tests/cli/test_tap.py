@@ -62,7 +62,6 @@ def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_p
     code, out, _ = call(capsys, "score", run_dir, *args)
     assert code == 0
     assert "PAPER'S RULE EXCEEDS TRUE" in out
-    assert "H(model | transcript)" in out
     assert figure.read_bytes().startswith(b"<?xml")
     code, out, _ = call(capsys, "score", run_dir, *args[:2], "--json")
     report = json.loads(out)

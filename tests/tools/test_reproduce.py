@@ -82,3 +82,11 @@ def test_the_short_rows_hold(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.endswith(
         f"1 of 1 rows hold; {len(rows(PAGE.read_text())) - 1} not run\n"
     )
+
+
+def test_a_row_that_looks_at_a_run_is_left_out_without_the_row_that_makes_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The check of a run takes less time than the run."""
+    assert main(["--only", "wyner check"]) == 0
+    assert capsys.readouterr().out.startswith("0 of 0 rows hold")

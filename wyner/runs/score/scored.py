@@ -16,7 +16,7 @@ from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
 from wyner.runs.score.replay import hear_again
-from wyner.runs.score.report import BOUND, Report, report
+from wyner.runs.score.report import Report, report
 from wyner.runs.score.score import RunScore, read_truth, score, score_run
 from wyner.runs.score.words import (
     GUESSES,
@@ -72,7 +72,7 @@ class ScoredRuns:
         counted = f"{len(r.runs)} run{'' if len(r.runs) == 1 else 's'}"
         counted += f", {r.transitions} transitions; by the paper's rule "
         counted += f"{r.claimed_bits:.0f} bits count as secret"
-        lines += ["", counted, NOTE, "", r.verdict(), BOUND]
+        lines += ["", counted, NOTE, "", r.verdict()]
         for folder, cost in self.costs.items():
             if cost is not None:
                 lines.append(f"control cost of {folder}: {cost:.4g} a step, x' Q x + u' R u")
