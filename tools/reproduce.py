@@ -144,6 +144,16 @@ def maker_of(row: Row, page: Iterable[Row]) -> Row | None:
     return next((maker for maker in makers if maker is not row), None)
 
 
+def chosen_of(page: Iterable[Row], longest: float, only: str) -> list[Row]:
+    """Rows of at most so many minutes whose command has this, each with the row that it needs."""
+    page = list(page)
+    makers = {row: maker_of(row, page) for row in page}
+    short = [row for row in page if max(r.minutes for r in (row, makers[row]) if r) <= longest]
+    wanted = [row for row in short if only in row.command]
+    needed = {makers[row] for row in wanted}
+    return [row for row in short if row in wanted or row in needed]
+
+
 def reproduced(chosen: Iterable[Row]) -> Iterator[tuple[Row, str, float]]:
     """Each row, what differed, and the minutes that it took."""
     shutil.rmtree(ROOT / WRITTEN, ignore_errors=True)
@@ -160,8 +170,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--only", default="", metavar="TEXT", help="rows whose command has this")
     args = parser.parse_args(argv)
     page = rows(PAGE.read_text(encoding="utf-8"))
-    wanted = [row for row in page if row.minutes <= args.longest and args.only in row.command]
-    chosen = [row for row in wanted if maker_of(row, page) in (None, *wanted)]
+    chosen = chosen_of(page, args.longest, args.only)
     held = 0
     for row, why, minutes in reproduced(chosen):
         held += not why

@@ -26,7 +26,7 @@ from wyner.advice import rate as settling
 from wyner.advice.answer import Answer, answer
 from wyner.advice.rate import SettledRate, long_runs, settled_rate
 from wyner.advice.why import Why, why
-from wyner.findings import Findings
+from wyner.printout import Printout
 from wyner.simulate.engine import SimulationError
 from wyner.simulate.missed import missed_steps
 
@@ -42,7 +42,7 @@ INVARIANCE: Final = {
 
 
 @dataclass(frozen=True, eq=False)
-class DesignReport(Findings):
+class DesignReport(Printout):
     """What a scenario's design is worth; its lines begin with secrecy, cost and attack.
 
     Parameters

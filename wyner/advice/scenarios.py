@@ -2,10 +2,10 @@
 
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.findings import Findings
+from wyner.printout import Printout
 
 
-def shipped_scenarios() -> Findings:
+def shipped_scenarios() -> Printout:
     """Those in `runtime/scenarios`, by name, with what tells them apart: two lines for each."""
     figures, lines = {}, []
     for s in map(load_scenario, sorted(SCENARIOS.glob("*.toml"))):
@@ -22,4 +22,4 @@ def shipped_scenarios() -> Findings:
         size = f"n {s.n}, m {s.m}, M {s.secrecy.candidates}, {s.plant.period_s:g} s"
         lines += [f"{s.name}: {size}, law {s.control.law}", f"  {s.description}"]
     end = f"The files are in {SCENARIOS}; `wyner new NAME` writes one of your own."
-    return Findings(figures, [*lines, "", end])
+    return Printout(figures, [*lines, "", end])

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from protocol.messages import SendCommand, SendReply
 from protocol.topics import key_of
 from runtime.inbox import Inbox
-from wyner.findings import Findings
+from wyner.printout import Printout
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
@@ -19,7 +19,7 @@ REPEAT_S: Final = 0.1
 """Seconds after which a command that was not answered is published again."""
 
 
-def queued(reply: SendReply, size: int, loop: str, run: str | None) -> Findings:
+def queued(reply: SendReply, size: int, loop: str, run: str | None) -> Printout:
     """What is said of a message that a controller has queued.
 
     Parameters
@@ -35,7 +35,7 @@ def queued(reply: SendReply, size: int, loop: str, run: str | None) -> Findings:
     where = f"loop {loop}" if run is None else f"run {run}, loop {loop}"
     line = f"queued as {id} at {where}: {size} bytes, {waiting} not delivered yet"
     told = {"id": id, "bytes": size, "queued": waiting, "loop": loop, "run": run}
-    return Findings(told, [line])
+    return Printout(told, [line])
 
 
 def ask(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:

@@ -19,7 +19,7 @@ from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
-from wyner.findings import Findings
+from wyner.printout import Printout
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.words import unused_in_words
 
@@ -32,7 +32,7 @@ S = TypeVar("S", bound=Status)
 
 
 @dataclass(frozen=True, eq=False)
-class Reported(Findings):
+class Reported(Printout):
     """What the services of a run, or of each loop of a fleet, last said of themselves.
 
     Parameters

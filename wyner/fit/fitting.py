@@ -39,7 +39,7 @@ SPARE: Final = 1.02
 LEAVES: Final = {"may_leave_defender_set": True}
 
 LEAST_SHARE: Final = 0.02
-"""Of W, that D_c is at least: noise alone is no disturbance, and she must be left some room."""
+"""Of W, that D_c is at least: noise alone is no disturbance."""
 
 SMALLEST: Final = 1e-9
 """Share of the largest half-width that every half-width has, for a plant without noise."""

@@ -8,17 +8,17 @@ import numpy as np
 
 from protocol.scenario import Scenario
 from protocol.statistics import STATED
-from wyner.findings import Findings
 from wyner.fit.conformal import CONFIDENCE
 from wyner.fit.first_scenario import WIDER, first_scenario
 from wyner.fit.recording import RecordedFit, Recording
 from wyner.fit.toml import as_toml
+from wyner.printout import Printout
 
 NO_INTERVAL: Final = {"violation": STATED, "confidence": STATED}
 
 
 @dataclass(frozen=True, eq=False)
-class Written(Findings):
+class Written(Printout):
     """What is said of a scenario's file.
 
     Parameters

@@ -92,7 +92,7 @@ def _loop(s: Summary) -> list[str]:
     return [
         str(s.runs),
         s.rate.text(".4g"),
-        "nobody heard" if s.secret is None else f"{s.secret:.2g}",
+        "no eavesdropper" if s.secret is None else f"{s.secret:.2g}",
         *(f"{cost.value:.3g}" for cost in s.costs.values()),
         str(s.counts["mistaken"]),
     ]

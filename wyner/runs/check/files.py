@@ -76,7 +76,7 @@ def _recorded(e: Evidence) -> Iterator[str]:
 
 
 def _told_alike(e: Evidence) -> Iterator[str]:
-    """The tap began what Eve heard and what she guessed with one header: told what, how well."""
+    """The tap began what Eve heard and her guesses with one header: told what, how well."""
     captured, guessed = (_header(e.folder / name) for name in (CAPTURE, GUESSES))
     fields = captured.keys() | guessed.keys() if captured and guessed else set()
     for field in sorted(fields - {"started_ns"}):

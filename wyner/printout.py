@@ -1,12 +1,12 @@
-"""What a command found, for machines and for people."""
+"""What a command prints, for machines and for people."""
 
 from dataclasses import dataclass
 from typing import Any
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
-    """What a command prints.
+class Printout:
+    """One object and some lines, which say the same.
 
     Parameters
     ----------
