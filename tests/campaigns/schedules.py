@@ -4,8 +4,8 @@ Each seed draws its own faults: loss, repetition, delay, deaths and lost journal
 makes keys too. An eighth of these key the coin, and half of those that act seal the messages too;
 they take ten times as long. In half of all the plant acts: a device with a deadline, or a
 simulation in lock-step that nobody can put back. Both endpoints, their journals and the shell are
-those of the services. With ``--networks`` messages pass a network of the seed's own besides: delays,
-losses alone or in bursts. ``--first`` goes on where another stopped.
+those of the services. With ``--networks`` messages pass a network of the seed's own besides:
+delays, losses alone or in bursts. ``--first`` goes on where another stopped.
 """
 
 import gc
