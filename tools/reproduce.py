@@ -40,7 +40,7 @@ _ROW: Final = re.compile(r"^\| ([^|]+) \| `([^`|]+)` \| ([^|]+) \| ([^|]+) \| ([
 _LEAST: Final = re.compile(r"(\w+) at least ([\d.]+)")
 
 
-class Row(NamedTuple):
+class ReviewRow(NamedTuple):
     """What the page claims, and how it can be seen."""
 
     claim: str
@@ -67,7 +67,7 @@ class Row(NamedTuple):
         return (found[1], float(found[2])) if found else None
 
 
-def rows(text: str) -> list[Row]:
+def rows(text: str) -> list[ReviewRow]:
     """The rows of a page; "hours" are without a limit.
 
     Raises
@@ -76,7 +76,9 @@ def rows(text: str) -> list[Row]:
         When a row's minutes are no number.
     """
     return [
-        Row(claim, command, math.inf if minutes == "hours" else float(minutes), expected, tolerance)
+        ReviewRow(
+            claim, command, math.inf if minutes == "hours" else float(minutes), expected, tolerance
+        )
         for claim, command, minutes, expected, tolerance in _ROW.findall(text)
     ]
 
@@ -100,7 +102,7 @@ def same(one: str, other: str) -> bool:
         return one == other
 
 
-def differs(row: Row) -> str:
+def differs(row: ReviewRow) -> str:
     """What came out otherwise than the page says, in a line; empty when nothing did."""
     programs = Path(sys.executable).parent
     environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
@@ -137,14 +139,14 @@ def differs(row: Row) -> str:
     return ""
 
 
-def maker_of(row: Row, page: Iterable[Row]) -> Row | None:
+def maker_of(row: ReviewRow, page: Iterable[ReviewRow]) -> ReviewRow | None:
     """The row whose command makes the run that this row's command looks at, if it looks at one."""
     looked_at = row.command.split()[-1]
     makers = (other for other in page if f"--run-dir {looked_at}" in other.command)
     return next((maker for maker in makers if maker is not row), None)
 
 
-def chosen_of(page: Iterable[Row], longest: float, only: str) -> list[Row]:
+def chosen_of(page: Iterable[ReviewRow], longest: float, only: str) -> list[ReviewRow]:
     """Rows of at most so many minutes whose command has this, each with the row that it needs."""
     page = list(page)
     makers = {row: maker_of(row, page) for row in page}
@@ -154,7 +156,7 @@ def chosen_of(page: Iterable[Row], longest: float, only: str) -> list[Row]:
     return [row for row in short if row in wanted or row in needed]
 
 
-def reproduced(chosen: Iterable[Row]) -> Iterator[tuple[Row, str, float]]:
+def reproduced(chosen: Iterable[ReviewRow]) -> Iterator[tuple[ReviewRow, str, float]]:
     """Each row, what differed, and the minutes that it took."""
     shutil.rmtree(ROOT / WRITTEN, ignore_errors=True)
     for row in chosen:

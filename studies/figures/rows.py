@@ -18,7 +18,7 @@ Rows = list[Row]
 Draw = Callable[[Figure, Path], str]
 
 
-class Kind(NamedTuple):
+class RegisteredFigure(NamedTuple):
     """One figure: how it is drawn, from which data files, and its size in inches."""
 
     draw: Draw
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     size: tuple[float, float]
 
 
-FIGURES: Final[dict[str, Kind]] = {}
+FIGURES: Final[dict[str, RegisteredFigure]] = {}
 """The figures."""
 
 
@@ -39,7 +39,7 @@ def figure(name: str, *data: str, size: tuple[float, float]) -> Callable[[Draw],
     """Register a function that draws from the folder of the data, and returns the note."""
 
     def register(draw: Draw) -> Draw:
-        FIGURES[name] = Kind(draw, data, size)
+        FIGURES[name] = RegisteredFigure(draw, data, size)
         return draw
 
     return register

@@ -2,10 +2,10 @@
 
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals. One in eight
 makes keys too. An eighth of these key the coin, and half of those that act seal the messages too;
-they take ten times as long. In half of all the
-plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. Both
-endpoints, their journals and the shell are those of the services. ``--first`` goes on where another
-stopped.
+they take ten times as long. In half of all the plant acts: a device with a deadline, or a
+simulation in lock-step that nobody can put back. Both endpoints, their journals and the shell are
+those of the services. With ``--networks`` messages pass a network of the seed's own besides:
+delays, losses alone or in bursts. ``--first`` goes on where another stopped.
 """
 
 import gc
@@ -25,7 +25,7 @@ from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.session import CountedTransition
 from protocol.messages import Message, Offer
-from protocol.scenario import Scenario, parse_scenario
+from protocol.scenario import Network, Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
 from protocol.vectors import Vector
@@ -162,6 +162,33 @@ def faults_of(seed: int) -> tuple[Faults, float | None, int, bool]:
     return faults, draw.choice((None, 0.1)), steps, seed % 8 == 0
 
 
+def network_of(seed: int) -> Network:
+    """The network of a seed: each way delays up to three periods, losses alone or in bursts."""
+    draw = random.Random(f"network {seed}")
+    return Network.model_validate(
+        {"to_plant": _one_way(draw), "to_controller": _one_way(draw), "seed": seed}
+    )
+
+
+def _one_way(draw: random.Random) -> dict[str, Any]:
+    latest = draw.choice((0.0, 0.03, 0.1, 0.3))
+    table: dict[str, Any] = {
+        "loss": draw.choice((0.0, 0.05, 0.3)),
+        "reordering": draw.random() < 0.7,
+    }
+    if latest:
+        table |= draw.choice(
+            (
+                {"delay": "constant", "delay_s": latest},
+                {"delay": "uniform", "delay_s": latest / 2, "jitter_s": latest / 2},
+                {"delay": "gamma", "delay_s": latest / 2, "jitter_s": latest / 4},
+            )
+        )
+    if draw.random() < 0.4:
+        table |= {"loss_bad": 0.9, "to_bad": 0.1, "to_good": 0.4}
+    return table
+
+
 class Scheduled(Watched):
     """A simulation whose device is looked at as it is told of."""
 
@@ -229,13 +256,15 @@ def watched(seed: int) -> bool:
     return seed % 8 == 0 and seed // 16 % 8 == 1
 
 
-def outcome_of(seed: int) -> Outcome:
-    """What comes of the schedule of a seed."""
+def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
+    """What comes of the schedule of a seed, with a network of its own where asked."""
     faults, step_s, steps, keyed = faults_of(seed)
     spends = watched(seed)
     if spends:
         steps = WATCHED_STEPS
     scenario, law = loop(keyed=keyed, acts=acts(seed), watched=spends)
+    if networks:
+        scenario = scenario.model_copy(update={"network": network_of(seed)})
     device = Acting(scenario, seed) if acts(seed) else None
     own: Callable[[], Stepped | PlantAdapter] | None = None
     if device is not None:
@@ -254,7 +283,7 @@ def outcome_of(seed: int) -> Outcome:
             own=own,
         )
         with short_keys(DIGITS) if spends else nullcontext():
-            history = link.run(steps=steps, seconds=20.0)
+            history = link.run(steps=steps, seconds=200.0 if networks else 20.0)
             stuck = link.k < steps
     except AssertionError as error:
         return Outcome(wrong=(f"{type(error).__name__}: {error}",))
@@ -280,6 +309,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = arguments(__doc__)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--networks", action="store_true", help="a network for each seed")
     args = parser.parse_args(argv)
     done: Counter[str] = Counter()
     progress = Progress(args.seconds, lambda: dict(done))
@@ -287,7 +317,7 @@ def main(argv: list[str] | None = None) -> int:
         loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
     for seed in range(args.first, args.first + args.count):
-        outcome = outcome_of(seed)
+        outcome = outcome_of(seed, networks=args.networks)
         done.update(schedules=1, keys=outcome.keys, cut=outcome.cut, watched=outcome.watched)
         done.update(acting=int(acts(seed)), broken=int(bool(outcome.wrong)))
         if outcome.wrong:

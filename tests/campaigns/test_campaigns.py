@@ -11,8 +11,11 @@ from tests.campaigns import exhaustive, live, schedules
 from tests.support.programs import python
 
 
-def test_seeded_schedules_break_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert schedules.main(["--first", "16", "--count", "40"]) == 0
+@pytest.mark.parametrize("options", [[], ["--networks"]])
+def test_seeded_schedules_break_nothing(
+    options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert schedules.main(["--first", "16", "--count", "40", *options]) == 0
     done = json.loads(capsys.readouterr().out)
     assert (done["schedules"], done["broken"]) == (40, 0)
     assert min(done["keys"], done["acting"]) > 0

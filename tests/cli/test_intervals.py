@@ -17,7 +17,7 @@ from tests.support.checked_runs import keyed_run
 from tests.support.rehearsal import Rehearsal
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
-from wyner.dashboard.model import State, reduce_all
+from wyner.dashboard.model import LoopState, reduce_all
 from wyner.runs.score.attacked import NO_INTERVAL
 
 
@@ -83,7 +83,7 @@ def test_of_an_attack_and_its_options() -> None:
 
 
 def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
-    state, reporter = State(), Reporter()
+    state, reporter = LoopState(), Reporter()
     told: list[str] = []
     for step, batch in enumerate(Rehearsal().arrivals(400)):
         state = reduce_all(state, batch)

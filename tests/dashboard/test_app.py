@@ -18,7 +18,7 @@ from tests.support.scripted import ScriptedSource
 from tests.support.statuses import changed
 from wyner.dashboard.app import GO_ON, Ending, LiveScreen, has_screen
 from wyner.dashboard.headless import Reporter, progress, run_headless, secrecy_line
-from wyner.dashboard.model import Arrival, State, reduce_all
+from wyner.dashboard.model import Arrival, LoopState, reduce_all
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.terminal import ESCAPE, cbreak, split_keys
 from wyner.dashboard.view import KEYS
@@ -331,7 +331,7 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
 def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
     whole = state_after(2000)
     text, under_way = "A second message.", {"symbols": 40, "length": 200}
-    state = State()
+    state = LoopState()
     for message in (
         whole.model,
         plant_of(with_plant(whole, secrets={"message": "A sec"})),

@@ -22,7 +22,7 @@ from wyner.dashboard.model import (
     STEPS_KEPT,
     TAPS_KEPT,
     Arrival,
-    State,
+    LoopState,
     reduce,
     reduce_all,
 )
@@ -38,7 +38,7 @@ from wyner.dashboard.score import (
 from wyner.dashboard.source import BusSource
 
 
-def with_tap(state: State, name: str, **changes: object) -> State:
+def with_tap(state: LoopState, name: str, **changes: object) -> LoopState:
     tap = state.taps["list-decoder"].status
     at = {"seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
     later = changed(tap, **{"name": name, **at, **changes})
@@ -51,7 +51,7 @@ def with_tap(state: State, name: str, **changes: object) -> State:
 @given(st.permutations(range(8)))
 def test_late_statuses_change_nothing_whatever_their_order(order: list[int]) -> None:
     first = batches(100)[:8]
-    ordered = reduce_all(State(), (a for batch in first for a in batch))
+    ordered = reduce_all(LoopState(), (a for batch in first for a in batch))
     mixed = reduce_all(ordered, (a for i in order for a in first[i]))
     assert mixed == replace(ordered, received=mixed.received)
 
@@ -93,7 +93,7 @@ def test_the_board_stays_bounded() -> None:
 
 
 def test_recovered_is_a_prefix_of_sent_all_the_way() -> None:
-    state = State()
+    state = LoopState()
     for batch in batches(2000):
         state = reduce_all(state, batch)
         assert state.sent == MESSAGE_TEXT
@@ -109,7 +109,7 @@ def test_a_pictured_step_stays_half_a_second_unless_an_agreement_comes() -> None
     assert state.pictured is not None
     start = state.seen["plant"] + 10**9
 
-    def after(state: State, k: int, symbol: int, t_ns: int) -> tuple[State, int]:
+    def after(state: LoopState, k: int, symbol: int, t_ns: int) -> tuple[LoopState, int]:
         plant = plant_of(state)
         secrets = {"pictured": {"k": k, "symbol": symbol}}
         status = changed(plant, seq=plant.seq + 1, secrets=secrets)
@@ -177,7 +177,7 @@ def test_a_tap_that_guesses_every_symbol_leaves_little() -> None:
 
 def test_what_is_forgotten_still_counts_once_and_in_every_session() -> None:
     """An alarm over a window that moves on would be lit by chance sooner or later."""
-    state = State()
+    state = LoopState()
     scored: dict[int, bool] = {}
     for batch in batches(6000):
         state = reduce_all(state, batch)
@@ -298,7 +298,7 @@ def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
     assert state_after(2000).taps["list-decoder"].status.belief.solved_k >= 0
     late = with_tap(state_after(2000), "late", belief={"solved_k": 9})
     assert not late.taps["late"].watched
-    blind = reduce(State(), Arrival(1, state_after(20).taps["list-decoder"].status))
+    blind = reduce(LoopState(), Arrival(1, state_after(20).taps["list-decoder"].status))
     assert not blind.taps["list-decoder"].watched, "nobody knows the truth yet"
 
 
@@ -333,7 +333,7 @@ def test_the_bus_source_takes_statuses_of_its_loop_and_counts_malformed() -> Non
     arrivals = source.drain()
     sent = [arrival.message for batch in batches(100) for arrival in batch]
     assert [a.message for a in arrivals] == [*sent, None, None]
-    assert reduce_all(State(), arrivals).malformed == 2
+    assert reduce_all(LoopState(), arrivals).malformed == 2
     assert "2 payloads" in source.problems()[0]
     assert source.drain() == []
 
@@ -365,5 +365,5 @@ def test_watching_publishes_nothing_so_no_truth_reaches_a_tap() -> None:
             if not isinstance(message, TapStatus):
                 key = key_of(type(message), "loop")
                 MemoryBus(management).publisher(key).put(message.wire())
-        reduce_all(State(), source.drain())
+        reduce_all(LoopState(), source.drain())
     assert heard == []

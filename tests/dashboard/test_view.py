@@ -25,7 +25,7 @@ from tests.support.screens import to_text
 from tests.support.size import size
 from tests.support.statuses import changed
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
-from wyner.dashboard.model import Arrival, State, reduce
+from wyner.dashboard.model import Arrival, LoopState, reduce
 from wyner.dashboard.score import contradictions
 from wyner.dashboard.text import (
     count,
@@ -54,26 +54,26 @@ FOUR_STATES = Rehearsal(
 )
 
 
-def with_truth(state: State, x: Vector) -> State:
+def with_truth(state: LoopState, x: Vector) -> LoopState:
     """An attacked plant is there after its last step."""
     k = max(state.truths)
     row = state.truths[k]._replace(true_x_next=x)
     return replace(state, truths={**state.truths, k: row})
 
 
-def with_model(state: State, **changes: object) -> State:
+def with_model(state: LoopState, **changes: object) -> LoopState:
     assert state.model is not None
     return replace(state, model=state.model.model_copy(update=changes))
 
 
-def with_tap(state: State, which: str, **changes: object) -> State:
+def with_tap(state: LoopState, which: str, **changes: object) -> LoopState:
     tap = state.taps[which]
     later = replace(tap, status=changed(tap.status, **changes))
     return replace(state, taps={**state.taps, which: later})
 
 
 def lines_of(
-    state: State, width: int, height: int, view: ViewState = PLAIN, now_ns: int = 0
+    state: LoopState, width: int, height: int, view: ViewState = PLAIN, now_ns: int = 0
 ) -> list[Text]:
     """The screen's lines with their styles."""
     console = Console(file=io.StringIO(), width=width, height=height, force_terminal=True)
@@ -87,7 +87,7 @@ def lines_of(
     ]
 
 
-def shown(state: State, width: int, height: int, view: ViewState = PLAIN) -> str:
+def shown(state: LoopState, width: int, height: int, view: ViewState = PLAIN) -> str:
     return to_text(screen(state, width, height, view, state.seen["plant"]), (width, height))
 
 
@@ -374,7 +374,7 @@ def test_keys_have_lines_with_the_claim_they_rest_on_and_what_all_blocks_may_cos
         assert text.count("blocks begun") == (its is begun)
 
 
-def with_attacker(state: State, name: str = "key-solver", **fields: object) -> State:
+def with_attacker(state: LoopState, name: str = "key-solver", **fields: object) -> LoopState:
     """A tap that goes for the keys is heard."""
     tap = next(iter(state.taps.values()))
     none = KeysHeld(

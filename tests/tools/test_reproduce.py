@@ -4,13 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from tools.reproduce import PAGE, Row, chosen_of, differs, main, rows, same_rows
+from tools.reproduce import PAGE, ReviewRow, chosen_of, differs, main, rows, same_rows
 
 TOLD = "python -c 'print(\"20 of\\n 20 messages\")'"
 
 
-def row(command: str, expected: str = "pass", minutes: float = 0.1, tolerance: str = "") -> Row:
-    return Row("a claim", command, minutes, expected, tolerance)
+def row(
+    command: str, expected: str = "pass", minutes: float = 0.1, tolerance: str = ""
+) -> ReviewRow:
+    return ReviewRow("a claim", command, minutes, expected, tolerance)
 
 
 def test_every_row_of_the_page_can_be_run() -> None:

@@ -11,7 +11,7 @@ WIDTH: Final = 79
 """Columns of a line, which is broken between words."""
 
 
-class Result(Protocol):
+class Printable(Protocol):
     """What a function of the library found; ``str`` of it is the text for people."""
 
     def to_json(self) -> dict[str, Any]:
@@ -24,12 +24,12 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
-def show(result: Result, args: argparse.Namespace, *, indent: int = 2) -> None:
+def show(result: Printable, args: argparse.Namespace, *, indent: int = 2) -> None:
     """Print a result; what a terminal would not show as text is spelled out.
 
     Parameters
     ----------
-    result : Result
+    result : Printable
     args : argparse.Namespace
         With ``json``.
     indent : int

@@ -11,7 +11,7 @@ from typing import IO, Final
 from rich.console import Console, ConsoleDimensions, RenderableType
 from rich.live import Live
 
-from wyner.dashboard.model import State, reduce
+from wyner.dashboard.model import LoopState, reduce
 from wyner.dashboard.source import BusSource
 from wyner.dashboard.story import MOMENTS, Caption, next_moment
 from wyner.dashboard.terminal import ESCAPE, cbreak, hold_stderr
@@ -45,13 +45,13 @@ class LiveScreen:
     """
 
     def __init__(self, *, story: bool = False, title: str = "") -> None:
-        self.state = State()
+        self.state = LoopState()
         self.view = ViewState(title=title)
         self.quit = False
         self._told = set() if story else set(range(len(MOMENTS)))
-        self._moments: deque[tuple[Caption, State, int]] = deque()
+        self._moments: deque[tuple[Caption, LoopState, int]] = deque()
         self._ending: Caption = ()
-        self._held: State | None = None
+        self._held: LoopState | None = None
         self._held_ns = 0
 
     def take(self, source: BusSource) -> None:
@@ -206,7 +206,7 @@ def has_screen(out: IO[str] | None = None) -> bool:
     return True
 
 
-def _steps_between(held: State, state: State) -> int | None:
+def _steps_between(held: LoopState, state: LoopState) -> int | None:
     """Steps that the plant made since; None when its session is another one."""
     if state.plant is None:
         return 0

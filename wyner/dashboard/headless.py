@@ -7,7 +7,7 @@ from typing import IO, Final
 
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
-from wyner.dashboard.model import State, TapState, reduce_all
+from wyner.dashboard.model import LoopState, TapState, reduce_all
 from wyner.dashboard.score import (
     characters_right,
     contradictions,
@@ -41,7 +41,7 @@ class Reporter:
         self._next_ns = 0
         self._at: tuple[str, int] | None = None
 
-    def report(self, state: State, now_ns: int) -> list[str]:
+    def report(self, state: LoopState, now_ns: int) -> list[str]:
         """A line for each event, then progress if it is due."""
         lines = []
         for about, value, line in facts(state):
@@ -55,7 +55,7 @@ class Reporter:
         return [*lines, progress(state)]
 
 
-def facts(state: State) -> Iterator[Fact]:
+def facts(state: LoopState) -> Iterator[Fact]:
     """Everything that is worth a line when it changes."""
     plant, model, controller = state.plant, state.model, state.controller
     if plant is not None and model is not None:
@@ -99,7 +99,7 @@ def _of_tap(name: str, tap: TapState) -> Iterator[Fact]:
         yield f"{name} bits", True, f"tap {name} holds {keys.bits} bits of keys"
 
 
-def progress(state: State) -> str:
+def progress(state: LoopState) -> str:
     """One line on where the loop, the message and the strongest tap stand."""
     plant = state.plant
     assert plant is not None
@@ -141,7 +141,7 @@ def progress(state: State) -> str:
     return "  ".join(parts)
 
 
-def secrecy_line(state: State) -> str:
+def secrecy_line(state: LoopState) -> str:
     """What the paper's rule counts against what is true, in words."""
     its = secrecy(state)
     told = f"{its.claimed_bits:.0f} bit by the paper's rule"
@@ -167,7 +167,7 @@ def run_headless(
     Lines carry no control codes. A broken pipe is the caller's.
     """
     stream = out or sys.stdout
-    state, reporter = State(), Reporter()
+    state, reporter = LoopState(), Reporter()
     told: set[int] = set()
     last = ""
 

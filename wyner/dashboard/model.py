@@ -67,8 +67,8 @@ class TapState:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """All that the screen and the plain lines are made from.
+class LoopState:
+    """What is known of one loop: all that the screen and the plain lines are made from.
 
     ``model`` is what the plant says of itself; ``pictured`` is the step that is drawn; ``truths``
     are the transitions that it has told, by step. ``seen`` is when a plant, controller or tap was
@@ -128,7 +128,7 @@ class State:
         return self.recovered if self.controller is None else self.controller.secrets.message
 
 
-def reduce(state: State, arrival: Arrival) -> State:
+def reduce(state: LoopState, arrival: Arrival) -> LoopState:
     """The state after one more arrival; anything else than these only counts."""
     t_ns, message = arrival.t_ns, arrival.message
     if message is None:
@@ -156,14 +156,14 @@ def reduce(state: State, arrival: Arrival) -> State:
     return replace(state, taps={**state.taps, **found}) if found else state
 
 
-def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
+def reduce_all(state: LoopState, arrivals: Iterable[Arrival]) -> LoopState:
     """`reduce` over many arrivals, in order."""
     for arrival in arrivals:
         state = reduce(state, arrival)
     return state
 
 
-def _heard(state: State, service: str, t_ns: int, text: str = "") -> State:
+def _heard(state: LoopState, service: str, t_ns: int, text: str = "") -> LoopState:
     """A service was heard; a true message that it told is remembered."""
     texts = state.texts
     if text and text not in texts:
@@ -171,7 +171,7 @@ def _heard(state: State, service: str, t_ns: int, text: str = "") -> State:
     return replace(state, seen={**state.seen, service: t_ns}, texts=texts)
 
 
-def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
+def _plant(state: LoopState, status: PlantStatus, t_ns: int) -> LoopState:
     if state.plant is not None and state.plant.session != status.session:
         # Steps may be counted afresh in a new session: what was known by step is void.
         taps = {name: replace(tap, guesses={}) for name, tap in state.taps.items()}
@@ -190,7 +190,7 @@ def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
     )
 
 
-def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
+def _picture(state: LoopState, status: PlantStatus, t_ns: int) -> LoopState:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
     shown, new = state.pictured, status.secrets.pictured
     if new is None:
@@ -200,7 +200,7 @@ def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     return replace(state, pictured=new, pictured_ns=t_ns) if over or better else state
 
 
-def _tap(state: State, status: TapStatus, t_ns: int) -> State:
+def _tap(state: LoopState, status: TapStatus, t_ns: int) -> LoopState:
     tap = state.taps.get(status.name)
     if tap is None and len(state.taps) >= TAPS_KEPT:
         return replace(state, malformed=state.malformed + 1)

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from protocol.messages.adversary import KeysHeld, deaf_share
 from protocol.relabelling import KnownSymbols, known
 from protocol.statistics import CONFIDENCE, Interval, bits_left, stated_left
-from wyner.dashboard.model import TAPS_KEPT, State, TapState
+from wyner.dashboard.model import TAPS_KEPT, LoopState, TapState
 from wyner.dashboard.text import drawn, letters, number
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
@@ -60,7 +60,7 @@ class SecrecyScore:
         return None if self.left is None else self.left.high
 
 
-def score(state: State, tap: TapState) -> KnownSymbols:
+def score(state: LoopState, tap: TapState) -> KnownSymbols:
     """What one tap knows of all agreed steps so far that it has guessed.
 
     The limits of the share hold at every look together: it is looked at after every status.
@@ -68,7 +68,7 @@ def score(state: State, tap: TapState) -> KnownSymbols:
     return known([tap.pairs], state.candidates)
 
 
-def ranked(state: State) -> list[tuple[TapState, KnownSymbols]]:
+def ranked(state: LoopState) -> list[tuple[TapState, KnownSymbols]]:
     """The taps, strongest first: a true message, else most of its text, else the best guesses.
 
     Those that failed come last, but for one that holds a true message.
@@ -86,7 +86,7 @@ def ranked(state: State) -> list[tuple[TapState, KnownSymbols]]:
     return sorted(scored, key=strength)
 
 
-def _carried(state: State) -> int:
+def _carried(state: LoopState) -> int:
     """Agreed keys that can be used: the result of the newest transition is not published yet."""
     if state.plant is None:
         return 0
@@ -95,7 +95,7 @@ def _carried(state: State) -> int:
     return state.plant.step.agreements - unsaid
 
 
-class Left(NamedTuple):
+class BitsLeft(NamedTuple):
     """Bits that one tap leaves of the agreed keys, of the steps that it could use.
 
     ``silent`` are those of the steps that it could not use; ``why`` says what the figure rests on,
@@ -107,14 +107,14 @@ class Left(NamedTuple):
     why: str = ""
 
 
-def left_by(state: State, tap: TapState, its: KnownSymbols) -> Left | None:
+def left_by(state: LoopState, tap: TapState, its: KnownSymbols) -> BitsLeft | None:
     """What one tap leaves: nothing where it holds a true message; None where nobody knows.
 
     The less of what guessing one by one leaves, and of what it states itself.
     """
     status, belief = tap.status, tap.status.belief
     if tap.exact:
-        return Left(Interval(0.0, 0.0, 0.0), why="a true message")
+        return BitsLeft(Interval(0.0, 0.0, 0.0), why="a true message")
     if status.failed:
         return None
     keys, size = _carried(state), state.candidates
@@ -141,10 +141,10 @@ def left_by(state: State, tap: TapState, its: KnownSymbols) -> Left | None:
         more = f"of {silent * bit:.0f} bit more nobody knows"
         found.append(f"{more}: Eve could not use their steps")
     least = min(known_left, key=lambda left: left.high)
-    return Left(least, silent * bit, "; ".join(found))
+    return BitsLeft(least, silent * bit, "; ".join(found))
 
 
-def secrecy(state: State) -> SecrecyScore:
+def secrecy(state: LoopState) -> SecrecyScore:
     """What the paper's rule counts against the truth, from all taps."""
     symbols = _carried(state)
     claimed = symbols * math.log2(state.candidates)
@@ -161,7 +161,7 @@ def secrecy(state: State) -> SecrecyScore:
     return SecrecyScore(claimed, left.bits, name, exceeds, of, left.why, failed, left.silent)
 
 
-def rate_in_words(state: State) -> str:
+def rate_in_words(state: LoopState) -> str:
     """Message bits per second of plant time, over the session, and how many may be secret at most.
 
     The rate is a count of what was sent, and no estimate: it has no interval.
@@ -181,13 +181,13 @@ def rate_in_words(state: State) -> str:
     return f"{number(rate)} bit/s, at most {number(secret)} secret"
 
 
-def attacker(state: State) -> KeysHeld | None:
+def attacker(state: LoopState) -> KeysHeld | None:
     """What the tap holds that holds most of the keys, of those that go for them."""
     held = [keys for tap in state.taps.values() if (keys := tap.status.keys) is not None]
     return max(held, key=lambda keys: keys.bits, default=None)
 
 
-def contradictions(state: State) -> Iterator[str]:
+def contradictions(state: LoopState) -> Iterator[str]:
     """What the tap found against the claim."""
     hers = attacker(state)
     if hers is None:
@@ -199,12 +199,12 @@ def contradictions(state: State) -> Iterator[str]:
         yield "MISSES IN BURSTS"
 
 
-def truth_for(state: State, text: str) -> str:
+def truth_for(state: LoopState, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
     return max((state.sent, *state.texts), key=lambda truth: _right(truth, text))
 
 
-def characters_right(state: State, tap: TapState) -> tuple[int, int]:
+def characters_right(state: LoopState, tap: TapState) -> tuple[int, int]:
     """How many characters of the tap's message are right, and how many the true message has."""
     text = tap.status.belief.message
     truth = truth_for(state, text)

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from protocol.relabelling import KnownSymbols
 from protocol.statistics import bits_left
-from wyner.dashboard.model import State, TapState
+from wyner.dashboard.model import LoopState, TapState
 from wyner.dashboard.score import SecrecyScore, attacker, characters_right, contradictions
 from wyner.dashboard.text import (
     LEVELS,
@@ -56,7 +56,7 @@ def explanation(its: SecrecyScore, width: int) -> Text:
     return line(f" {longest(width - 1, f'{by}; {more}', by)}", STYLES["label"])
 
 
-def distilled(state: State, width: int) -> list[Text]:
+def distilled(state: LoopState, width: int) -> list[Text]:
     """Distilled keys and what Eve holds of them; the claim, and what contradicts it; the distance
     of all blocks that were begun from perfect keys.
 
@@ -95,7 +95,7 @@ def distilled(state: State, width: int) -> list[Text]:
     return rows
 
 
-def held(state: State, room: int) -> tuple[str, str]:
+def held(state: LoopState, room: int) -> tuple[str, str]:
     """What Eve holds of the keys, or would hold of blocks that gave none, and its style."""
     hers = attacker(state)
     if hers is None:
@@ -112,7 +112,7 @@ def held(state: State, room: int) -> tuple[str, str]:
 HEADING: Final = "keys found % secret bit/key letters right  whole at step"
 
 
-def eavesdroppers(state: State, shown: Sequence[tuple[TapState, KnownSymbols]]) -> list[Text]:
+def eavesdroppers(state: LoopState, shown: Sequence[tuple[TapState, KnownSymbols]]) -> list[Text]:
     """A row for each tap."""
     lines = [labelled("eavesdropper", line(HEADING, STYLES["label"]))]
     for tap, its in shown:

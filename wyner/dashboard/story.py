@@ -7,7 +7,7 @@ The moments are found in the order in which they can be understood, and each is 
 from collections.abc import Callable, Set
 from typing import Any, Final
 
-from wyner.dashboard.model import State
+from wyner.dashboard.model import LoopState
 from wyner.dashboard.score import score
 
 ENOUGH: Final = 8
@@ -20,14 +20,14 @@ Caption = tuple[str, ...]
 """A title and its lines, for a screen of 80 columns."""
 
 
-def _agreement(state: State) -> Facts | None:
+def _agreement(state: LoopState) -> Facts | None:
     shown = state.pictured
     if shown is None or shown.symbol < 0:
         return None
     return {"step": shown.k, "key": shown.symbol}
 
 
-def _message_symbol(state: State) -> Facts | None:
+def _message_symbol(state: LoopState) -> Facts | None:
     """The newest step that carried a message symbol, while an agreement is pictured."""
     if _agreement(state) is None:
         return None
@@ -35,7 +35,7 @@ def _message_symbol(state: State) -> Facts | None:
     return None if carried is None else {"carried": carried}
 
 
-def _nearest_centre(state: State) -> Facts | None:
+def _nearest_centre(state: LoopState) -> Facts | None:
     tap = state.taps.get("nearest-centre")
     its = None if tap is None else score(state, tap)
     if its is None or its.of < ENOUGH:
@@ -43,7 +43,7 @@ def _nearest_centre(state: State) -> Facts | None:
     return {"right": its.right, "scored": its.of}
 
 
-def _list(state: State) -> Facts | None:
+def _list(state: LoopState) -> Facts | None:
     tap = state.taps.get("list-decoder")
     belief = None if tap is None else tap.status.belief
     if belief is None or belief.candidates_left < 2 or not belief.message.strip("·"):
@@ -51,7 +51,7 @@ def _list(state: State) -> Facts | None:
     return {"left": belief.candidates_left}
 
 
-def _whole(state: State) -> Facts | None:
+def _whole(state: LoopState) -> Facts | None:
     plant = state.plant
     for name, tap in state.taps.items():
         belief = tap.status.belief
@@ -63,7 +63,7 @@ def _whole(state: State) -> Facts | None:
     return None
 
 
-MOMENTS: Final[tuple[tuple[Callable[[State], Facts | None], str], ...]] = (
+MOMENTS: Final[tuple[tuple[Callable[[LoopState], Facts | None], str], ...]] = (
     (
         _agreement,
         """A key is agreed, at step {step}
@@ -102,7 +102,7 @@ No key was broken, nothing was stolen: it follows from what all can read.""",
 )
 
 
-def next_moment(state: State, told: Set[int]) -> tuple[int, Caption] | None:
+def next_moment(state: LoopState, told: Set[int]) -> tuple[int, Caption] | None:
     """The first moment not ``told`` yet that the state shows by now, and its place.
 
     None before the plant's model was received: a caption stands beside a picture.

@@ -14,7 +14,7 @@ from rich.cells import cell_len
 from rich.console import Group
 from rich.text import Text
 
-from wyner.dashboard.model import State
+from wyner.dashboard.model import LoopState
 from wyner.dashboard.picture import agreement
 from wyner.dashboard.score import ranked, rate_in_words, secrecy, truth_for
 from wyner.dashboard.secrecy_panel import amounts, distilled, eavesdroppers, explanation
@@ -99,7 +99,7 @@ class ViewState:
     note: str = ""
 
 
-def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) -> Group:
+def screen(state: LoopState, width: int, height: int, view: ViewState, now_ns: int) -> Group:
     """The whole screen, ``height`` lines of at most ``width`` cells."""
     rows = max(height, SMALLEST[1]) - 1
     page = _Page(state, max(width, SMALLEST[0]), view, now_ns)
@@ -112,7 +112,7 @@ def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) 
 
 
 class _Page:
-    def __init__(self, state: State, width: int, view: ViewState, now_ns: int) -> None:
+    def __init__(self, state: LoopState, width: int, view: ViewState, now_ns: int) -> None:
         self.state, self.width, self.view, self.now_ns = state, width, view, now_ns
         self.taps = ranked(state)
         self.secrecy = secrecy(state)

@@ -32,7 +32,7 @@ S = TypeVar("S", bound=Status)
 
 
 @dataclass(frozen=True, eq=False)
-class Reported(Printout):
+class StatusReport(Printout):
     """What the services of a run, or of each loop of a fleet, last said of themselves.
 
     Parameters
@@ -44,7 +44,7 @@ class Reported(Printout):
     warnings: list[str]
 
 
-def status_of(run_dir: Path) -> Reported:
+def status_of(run_dir: Path) -> StatusReport:
     """Read the statuses below a run's folder, or below that of a fleet.
 
     Raises
@@ -58,10 +58,10 @@ def status_of(run_dir: Path) -> Reported:
     warnings = [f"{name}: {text}" for name, one in loops.items() for text in one.warnings]
     well = sum(not one.warnings for one in loops.values())
     lines = [f"{well} of {len(loops)} loops without a warning", *map(_warned, warnings)]
-    return Reported({"loops": {n: one.figures for n, one in loops.items()}}, lines, warnings)
+    return StatusReport({"loops": {n: one.figures for n, one in loops.items()}}, lines, warnings)
 
 
-def _of_run(run_dir: Path) -> Reported:
+def _of_run(run_dir: Path) -> StatusReport:
     paths = {name: run_dir / name / "status.json" for name, row in SERVICES.items() if row.reports}
     written = {name: _written(path) for name, path in paths.items() if path.exists()}
     if not written:
@@ -91,7 +91,7 @@ def _of_run(run_dir: Path) -> Reported:
         "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "gauge": COUNTED},
         "warnings": warnings,
     }
-    return Reported(figures, [*lines, *map(_warned, warnings)], warnings)
+    return StatusReport(figures, [*lines, *map(_warned, warnings)], warnings)
 
 
 def _warned(text: str) -> str:

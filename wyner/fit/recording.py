@@ -33,7 +33,7 @@ ALIKE: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class PlantRecording:
     """The steps that were recorded whole, in the order of time.
 
     Parameters
@@ -79,7 +79,7 @@ class RecordedFit:
     warnings: list[str]
 
 
-def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> Recording:
+def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> PlantRecording:
     """Read a CSV file with a line of names, or a MATLAB file (.mat) of vectors.
 
     Parameters
@@ -114,7 +114,7 @@ def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> 
     u = np.column_stack([columns[name] for name in inputs])
     step = np.column_stack([x[:-1], u[:-1], x[1:]])
     whole = np.isfinite(step).all(axis=1)
-    return Recording(tuple(states), tuple(inputs), x[:-1][whole], u[:-1][whole], x[1:][whole])
+    return PlantRecording(tuple(states), tuple(inputs), x[:-1][whole], u[:-1][whole], x[1:][whole])
 
 
 def _csv_columns(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
@@ -176,12 +176,12 @@ def _matlab_columns(path: Path) -> dict[str, Array]:
     return columns
 
 
-def fit_recording(recording: Recording, violation: float) -> RecordedFit:
+def fit_recording(recording: PlantRecording, violation: float) -> RecordedFit:
     """Identify A and B, scale D_c, and count the steps held out that leave it.
 
     Parameters
     ----------
-    recording : Recording
+    recording : PlantRecording
     violation : float
         Share of the steps that may leave D_c, for its scale.
 
@@ -257,7 +257,7 @@ def _offset(x: Array, u: Array, after: Array) -> Array:
     return np.where(constant > WITHIN * errors, constant, 0.0)
 
 
-def _check_excited(recording: Recording, x: Array, u: Array) -> None:
+def _check_excited(recording: PlantRecording, x: Array, u: Array) -> None:
     """Refuse a recording in which an input follows from what else was recorded.
 
     Under a control law u = K x and nothing else, the data fit every A + B K, and B is not among

@@ -10,7 +10,7 @@ from protocol.scenario import Scenario
 from protocol.statistics import STATED
 from wyner.fit.conformal import CONFIDENCE
 from wyner.fit.first_scenario import WIDER, first_scenario
-from wyner.fit.recording import RecordedFit, Recording
+from wyner.fit.recording import PlantRecording, RecordedFit
 from wyner.fit.toml import as_toml
 from wyner.printout import Printout
 
@@ -31,13 +31,13 @@ class Written(Printout):
 
 
 def from_recording(
-    recording: Recording, fit: RecordedFit, source: Path, output: Path, period_s: float
+    recording: PlantRecording, fit: RecordedFit, source: Path, output: Path, period_s: float
 ) -> Written:
     """A scenario whose A, B and D_c come from a recording.
 
     Parameters
     ----------
-    recording : Recording
+    recording : PlantRecording
     fit : RecordedFit
     source, output : Path
         The recording's file, and the scenario's.
