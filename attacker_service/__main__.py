@@ -36,7 +36,6 @@ def run() -> int:
     """
     from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
-    from runtime.bus import TransportError
     from runtime.link_watchdog import watched
     from runtime.logs import logger
     from runtime.scenario_file import attack_option, scenario_of
@@ -53,16 +52,13 @@ def run() -> int:
     attacker = Attacker(scenario, attack, told.seed)
     if attacker.at != "bus":
         raise UsageError(f"attack.at: {attack.kind} is at the {attacker.at}: the plant hosts it")
-    try:
-        with (
-            stop_on_signals() as stopping,
-            ZenohBus(listen=[told.plant_side]) as plant,
-            ZenohBus(listen=[told.controller_side]) as controller,
-            watched(stopping, logger("attacker"), plant, controller),
-        ):
-            Relay(attacker, plant, controller, loop).run(stopping)
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+    with (
+        stop_on_signals() as stopping,
+        ZenohBus(listen=[told.plant_side]) as plant,
+        ZenohBus(listen=[told.controller_side]) as controller,
+        watched(stopping, logger("attacker"), plant, controller),
+    ):
+        Relay(attacker, plant, controller, loop).run(stopping)
     return DONE
 
 

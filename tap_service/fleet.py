@@ -7,7 +7,7 @@ eavesdroppers, which need a process each, read the recordings afterwards (``wyne
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
 from typing import TYPE_CHECKING, Final
 
@@ -43,8 +43,7 @@ Note = Callable[["Bus"], AbstractContextManager["Bus"]]
 
 def run_tap(
     make: Callable[[], "TapService | TapFleet"],
-    field: "Addresses",
-    adversary: "Addresses",
+    ends: "Mapping[str, Addresses]",
     note: Note,
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
@@ -65,8 +64,8 @@ def run_tap(
         # tap goes on, and what is said then must be heard.
         service = make()
         stack.callback(service.close)
-        field_bus = stack.enter_context(open_bus(field))
-        told_on = stack.enter_context(open_bus(adversary))
+        field_bus = stack.enter_context(open_bus(ends["field"]))
+        told_on = stack.enter_context(open_bus(ends["adversary"]))
         service.attach(field_bus, stack.enter_context(note(told_on)))
         buses = field_bus, told_on
         stack.enter_context(

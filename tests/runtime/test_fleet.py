@@ -52,6 +52,7 @@ TWO = '[[loop]]\nid = "two"\nseed = 2\n'
         ('[[loop]]\nid = "a b"\n', "loop.0.id: got \"a b\", loop: got 'a b'"),
         ('[[loop]]\nid = "a"\nseed = -1\n', "loop.0.seed: got -1, "),
         ('[[loop]]\nid = "a"\ncolour = 1\n', "loop.0.colour: got 1, no such field"),
+        ('[[loop]]\nid = "a"\nmessage = 3\n', "loop.0.message: got 3, expected a text"),
         (ONE + ONE, "an id for each of its own"),
         ("[[loop", "not TOML"),
     ],

@@ -13,7 +13,7 @@ import pytest
 from tests.support.scenarios import text_of
 from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
-from wyner.runs.check import Result, check, judge
+from wyner.runs.check import RuleResult, check, judge
 from wyner.runs.check.evidence import read_evidence
 
 STEPS: Final = 400
@@ -28,7 +28,7 @@ def failed(folder: Path) -> set[str]:
     return {finding.rule for finding in check(read_evidence(folder))}
 
 
-def results_of(folder: Path) -> dict[str, Result]:
+def results_of(folder: Path) -> dict[str, RuleResult]:
     """How a run did by each rule."""
     return {result.rule.name: result for result in judge(read_evidence(folder))}
 

@@ -29,4 +29,4 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise UsageError(str(error)) from None
     show(found, args, indent=17)
-    return DONE if found.passed else FAILED
+    return FAILED if found.failed else DONE

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from protocol.messages import SendCommand
 from protocol.text import printable
-from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of
 from runtime.chance import new_id
 from runtime.errors import DONE, Failure, UsageError
 from runtime.options import message_of, picked
@@ -44,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     """Repeat the command until the controller has answered it."""
     from pydantic import ValidationError
 
-    from runtime.bus import TransportError
     from runtime.zenoh_bus import open_bus
 
     if not args.timeout > 0:
@@ -59,14 +58,11 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout, own=True)
-    loop = loop_of(buses.loop)
-    ends = endpoints_of(buses, "operator", "management")
+    loop = buses.loop
+    ends = endpoints_of(buses, "operator")["management"]
     until = time.monotonic() + args.timeout
-    try:
-        with open_bus(ends, args.timeout) as management:
-            reply = ask(management, loop, command, until)
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+    with open_bus(ends, args.timeout) as management:
+        reply = ask(management, loop, command, until)
     if reply is not None:
         if not reply.accepted:
             raise Failure(reply.detail)

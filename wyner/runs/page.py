@@ -6,7 +6,7 @@ what it took of a long run.
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,15 +16,14 @@ import numpy as np
 
 from protocol.text import readable
 from runtime.files import write_atomically
-from wyner.runs.check import judge
+from wyner.runs.check import counts, judge
 from wyner.runs.check.evidence import Evidence, read_evidence
 from wyner.runs.lines import TRANSITION
-from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import mean_cost, truth_of
-from wyner.runs.score.report import Report
-from wyner.runs.score.report import report as report_of
+from wyner.runs.score.report import report
 from wyner.runs.score.score import (
+    EavesdropperScore,
     RunScore,
     ScoreError,
     TapOutput,
@@ -78,14 +77,15 @@ def write_report(run_dir: Path, output: Path | None = None) -> Path:
 def page(e: Evidence) -> str:
     """The whole page."""
     results = judge(e)  # first: it takes most room, and gives it back
-    kinds = [r.result for r in results]
     attack = attacked(e.run)
-    scored = _scored(e)
     e.run.forget("controller")  # what follows needs the room for matplotlib
-    told: dict[str, Any] = {
+    flags = [] if attack is None else _flags(attack, e)
+    loop = {} if e.plant is None else _loop(e, e.plant, flags)
+    scored = _scored(e)
+    told = {
         "scenario": e.scenario,
         "size": e.rules.size,
-        "counts": ", ".join(f"{kinds.count(one)} {one}" for one in ("PASS", "FAIL", "SKIP")),
+        "counts": counts(results),
         "rules": [
             (r.result, r.rule.name, r.rule.source, r.rule.says, [*r.findings, r.note][0])
             for r in results
@@ -93,16 +93,10 @@ def page(e: Evidence) -> str:
         "attack": None if attack is None else _attack(attack),
         "messages": _messages(e),
         "manifest": _manifest(e),
-        "figures": {},
+        **loop,
+        **scored,
+        "figures": {**loop.get("figures", {}), **scored.get("figures", {})},
     }
-    if e.plant is not None:
-        told |= _loop(e, e.plant, [] if attack is None else _flags(attack, e))
-    if isinstance(scored, str):
-        told["unscored"] = scored
-    else:
-        secrecy = _secrecy(e.run, scored)
-        told["figures"] |= secrecy.pop("figures")
-        told |= secrecy
     templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -184,32 +178,19 @@ def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str
     }
 
 
-class _Scored(NamedTuple):
-    """What the eavesdroppers of a run said, beside the truth."""
-
-    truth: Truth
-    said: list[TapOutput]
-    found: Report
-
-
-def _scored(e: Evidence) -> _Scored | str:
-    """The scores of a run, or why there are none."""
-    if e.plant is None:
-        return "no plant trace"
-    try:
-        truth, said = read_truth(e.run), read_said(e.run)
-        scores = tuple(score(truth, one) for one in said)
-        return _Scored(truth, said, report_of([RunScore(e.run.name, truth, scores)]))
-    except ScoreError as error:
-        return str(error)
-
-
-def _secrecy(run: Run, scored: _Scored) -> dict[str, Any]:
-    """What the eavesdroppers made of the run, beside the truth."""
+def _scored(e: Evidence) -> dict[str, Any]:
+    """What the eavesdroppers made of the run, beside the truth; or why nobody knows."""
     from wyner.drawing.secrecy import draw_report
     from wyner.drawing.style import svg_of
 
-    truth, said, found = scored
+    if e.plant is None:
+        return {"unscored": "no plant trace"}
+    try:
+        truth, said = read_truth(e.run), read_said(e.run)
+    except ScoreError as error:
+        return {"unscored": str(error)}
+    scores = tuple(score(truth, one) for one in said)
+    found = report([RunScore(e.run.name, truth, scores)])
     names = ", ".join(tap.name for tap in found.taps)
     figures = {
         "secrecy": Figure(
@@ -218,7 +199,7 @@ def _secrecy(run: Run, scored: _Scored) -> dict[str, Any]:
         )
     }
     if truth.keys:
-        figures["symbols"] = _keys(run, truth, said)
+        figures["symbols"] = _keys(e, truth, zip(said, scores, strict=True))
     return {
         "figures": figures,
         "report": {
@@ -237,7 +218,9 @@ def _secrecy(run: Run, scored: _Scored) -> dict[str, Any]:
     }
 
 
-def _keys(run: Run, truth: Truth, said: list[TapOutput]) -> Figure:
+def _keys(
+    e: Evidence, truth: Truth, scored: Iterable[tuple[TapOutput, EavesdropperScore]]
+) -> Figure:
     """Key symbols over time: those that were agreed, and what each eavesdropper got right."""
     from wyner.drawing.run import draw_keys
     from wyner.drawing.style import svg_of
@@ -245,12 +228,12 @@ def _keys(run: Run, truth: Truth, said: list[TapOutput]) -> Figure:
     steps = np.fromiter((k for _, k in truth.keys), np.int64, len(truth.keys))
     order = steps.argsort(kind="stable")
     right = {}
-    for tap in said:
-        relabelled = score(truth, tap).known.labels
+    for tap, its in scored:
+        relabelled = its.known.labels
         labels = dict(enumerate(relabelled[0] if relabelled else range(truth.size)))
         mine = (labels.get(tap.live.get(at, -1)) == key for at, key in truth.keys.items())
         right[f"right, {tap.name}"] = np.fromiter(mine, np.bool_, len(steps))[order]
-    agreed_s = steps[order] * run.scenario.plant.period_s
+    agreed_s = steps[order] * e.scenario.plant.period_s
     svg = svg_of(WIDE, lambda axes: draw_keys(axes, agreed_s, right))
     return Figure(f"Key symbols over time: agreed; {', '.join(right)}", _base64(svg))
 

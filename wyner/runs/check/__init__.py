@@ -12,7 +12,7 @@ import gc
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -130,35 +130,24 @@ def _told(e: Evidence) -> Findings:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
-    """A rule, where it is broken, and why there was nothing to look at.
+class RuleResult:
+    """How a run did by a rule.
 
     Parameters
     ----------
     rule : Rule
+    result : str
+        ``PASS``, ``FAIL`` or ``SKIP``; SKIP where the run left nothing to look at.
     findings : list of Finding
-    skipped : str
-        Empty where there was something.
-    cut : str
-        Which parts of the traces are gone.
+        Where the rule is broken.
+    note : str
+        What must be known of the result: why it was skipped, which parts of the traces are gone.
     """
 
     rule: Rule
+    result: str
     findings: list[Finding]
-    skipped: str
-    cut: str
-
-    @property
-    def result(self) -> Literal["PASS", "FAIL", "SKIP"]:
-        """SKIP where the run left nothing to look at."""
-        if self.findings:
-            return "FAIL"
-        return "SKIP" if self.skipped else "PASS"
-
-    @property
-    def note(self) -> str:
-        """What must be known of the result."""
-        return self.skipped or (self.cut if self.rule.name == "traces" else "")
+    note: str
 
     def __str__(self) -> str:
         """One line, and one more for the first place where the rule is broken."""
@@ -184,11 +173,19 @@ class Result:
         }
 
 
-def judge(e: Evidence) -> list[Result]:
-    """Every rule, and how it came out."""
-    skipped = {rule: rule.skipped(e) for rule in RULES}
-    found = check(e)
-    return [
-        Result(rule, [f for f in found if f.rule == rule.name], why, e.cut)
-        for rule, why in skipped.items()
-    ]
+def judge(e: Evidence) -> list[RuleResult]:
+    """Every rule, and how the run did by it."""
+    skipped = [rule.skipped(e) for rule in RULES]  # while all rows are there
+    found, results = check(e), []
+    for rule, why in zip(RULES, skipped, strict=True):
+        findings = [f for f in found if f.rule == rule.name]
+        result = "FAIL" if findings else "SKIP" if why else "PASS"
+        note = e.cut if rule.name == "traces" else ""
+        results.append(RuleResult(rule, result, findings, why or note))
+    return results
+
+
+def counts(results: list[RuleResult]) -> str:
+    """How many rules passed, failed and were skipped."""
+    kinds = Counter(result.result for result in results)
+    return ", ".join(f"{kinds[kind]} {kind}" for kind in ("PASS", "FAIL", "SKIP"))
