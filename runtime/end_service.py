@@ -7,11 +7,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from protocol.link.pacing import STATUS_S
 from protocol.scenario import Scenario
 from runtime.bus_options import ServiceOptions, buses_of, endpoints_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
-from runtime.fleet import Fleet, FleetLoop, fleet_of
+from runtime.fleet import FLEET_STATUS_S, Fleet, FleetLoop, fleet_of
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
@@ -36,7 +37,8 @@ class EndConfig:
     """What either end is started with.
 
     ``pace`` is the plant's; ``seed`` is for experiments only; ``folder`` is where the files that
-    the scenario names are looked for; ``bounds`` are the trace's.
+    the scenario names are looked for; ``bounds`` are the trace's; ``status_s`` are the seconds
+    between statuses.
     """
 
     scenario: Scenario
@@ -47,6 +49,7 @@ class EndConfig:
     seed: int | None = None
     folder: Path = Path()
     bounds: Bounds = field(default_factory=Bounds)
+    status_s: float = STATUS_S
 
 
 C = TypeVar("C", bound=EndConfig)
@@ -103,6 +106,7 @@ def run_end(
             "seed": loop.seed,
             "folder": folder_of("--folder", options.folder, scenario_file_of(loop.scenario).parent),
             "bounds": options.bounds,
+            "status_s": FLEET_STATUS_S if many else STATUS_S,
         }
         return configure(common, loop)
 

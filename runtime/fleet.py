@@ -34,8 +34,8 @@ SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and
 all at once would wait for one another."""
 
-STATUS_S = 1.0
-"""Seconds between statuses of each loop."""
+FLEET_STATUS_S = 1.0
+"""Seconds between statuses of each loop of a fleet."""
 
 LARGEST_FLEET = 10_000
 
