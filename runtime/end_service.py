@@ -19,6 +19,7 @@ from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.scenario_file import keep_scenario, scenario_of
 from runtime.shipped import scenario_file_of
+from runtime.signals import stop_on_signals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +119,10 @@ def run_end(
     run_dir = run_dir_of(options.run_dir)
     if options.seed is not None and not many:
         log.warning("seed %d: symbols are predictable, for experiments only", options.seed)
-    with buses_of(ends, options.metrics, log) as (stopping, field_bus, management):
+    with (
+        stop_on_signals() as stopping,
+        buses_of(ends, stopping, log, options.metrics) as (field_bus, management),
+    ):
         host = Host(field_bus, management, stopping, fleet=many)
         for loop in fleet.loops.values():
             folder = run_dir / loop.id if many else run_dir

@@ -152,7 +152,6 @@ def run_with_knowledge(
     """
     from pathlib import Path
 
-    from runtime.metrics import noted
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -200,6 +199,6 @@ def run_with_knowledge(
             return fine(f"eavesdroppers {', '.join(config.names)}")
         make = partial(TapFleet, fleet, config_of) if many else partial(TapService, config)
         with alone_in(run_dir_of(options.run_dir) / "tap"):
-            return run_tap(make, ends, partial(noted, options.metrics))
+            return run_tap(make, ends, options.metrics)
     except KnowledgeError as error:
         raise UsageError(f"--eavesdropper: {error}") from None
