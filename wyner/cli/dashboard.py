@@ -7,7 +7,7 @@ from pathlib import Path
 from runtime.bus_options import BusOptions, add_service_arguments, buses_of, endpoints_of
 from runtime.options import picked
 from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
-from wyner.cli.options import add_run_argument, joined
+from wyner.cli.joining import add_run_argument, joined
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
