@@ -7,8 +7,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from protocol.errors import WynerError
 from protocol.link.pacing import STATUS_S
-from protocol.scenario import Scenario
+from protocol.scenario import Scenario, ScenarioError
 from runtime.bus_options import ServiceOptions, buses_of, endpoints_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
@@ -140,7 +141,7 @@ def run_end(
 
 
 def _in_a_line(error: Exception) -> str:
-    if isinstance(error, UsageError | Failure | OSError):
+    if isinstance(error, UsageError | Failure | WynerError | OSError):
         return str(error).replace("\n", "; ")
     return f"unexpected {type(error).__name__}: {error}"
 
@@ -161,8 +162,8 @@ def check_loops(fleet: Fleet, configured: Callable[[FleetLoop, Path], EndConfig]
     for loop in first.values():
         try:
             configured(loop, Path())
-        except UsageError as error:
+        except (UsageError, ScenarioError) as error:
             where = "" if fleet.path is None else f"{loop.id}: "
-            problems += [f"{where}{line}" for line in error.lines]
+            problems += [f"{where}{line}" for line in error.problems]
     if problems:
         raise UsageError(problems)

@@ -24,7 +24,7 @@ def load_scenario(path: str | Path) -> Scenario:
     try:
         tables = read_toml(Path(path))
     except UsageError as error:
-        raise ScenarioError(error.lines) from None
+        raise ScenarioError(error.problems) from None
     return parse_scenario(tables, str(path))
 
 
@@ -34,15 +34,14 @@ def scenario_of(text: str) -> Scenario:
     Raises
     ------
     UsageError
-        With one line for each wrong field.
+        When there is no such file.
+    ScenarioError
+        As :func:`load_scenario`.
     """
     path = scenario_file_of(text)
     if not path.exists():
         raise UsageError(f"{text}: no such file{others_than(text)}")
-    try:
-        return load_scenario(path)
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+    return load_scenario(path)
 
 
 def scenario_in(text: str, source: str) -> Scenario:
@@ -50,13 +49,10 @@ def scenario_in(text: str, source: str) -> Scenario:
 
     Raises
     ------
-    UsageError
-        With one line for each wrong field.
+    ScenarioError
+        When it has a wrong field.
     """
-    try:
-        return parse_scenario(tomllib.loads(text), source)
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+    return parse_scenario(tomllib.loads(text), source)
 
 
 def attack_option(

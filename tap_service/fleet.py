@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
+from protocol.errors import WynerError
 from protocol.messages import FIELD
 from protocol.topics import every_loop
 from runtime.bus_options import buses_of
@@ -20,7 +21,6 @@ from runtime.fleet import Fleet, FleetLoop
 from runtime.logs import logger
 from runtime.signals import stop_on_signals
 from tap_service.config import SILENT_S, TapConfig
-from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import TapService
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class TapFleet:
         try:
             tap = TapService(self._config_of(loop))
             tap.begin()
-        except (UsageError, Failure, KnowledgeError, OSError) as error:
+        except (UsageError, Failure, WynerError, OSError) as error:
             self.log.error("loop %s: not listened to: %s", loop.id, error)
             return
         tap.publish_on(self._adversary, many=True)
