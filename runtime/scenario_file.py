@@ -6,9 +6,8 @@ from pathlib import Path
 from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
-from runtime.errors import UsageError
+from runtime.errors import UsageError, writing
 from runtime.files import read_regular, read_toml, write_atomically
-from runtime.options import unwritable
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
 
@@ -101,13 +100,13 @@ def keep_scenario(run_dir: Path, text: str) -> None:
     ------
     UsageError
         When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
+    Failure
+        When the disk is full or broken.
     """
     kept = run_dir / SCENARIO
-    try:
+    with writing(f"--run-dir: {kept}"):
         if not kept.exists():
             write_atomically(kept, read_regular(scenario_file_of(text)))
-    except OSError as error:
-        raise unwritable(kept, error) from None
     there = scenario_of(str(kept))
     if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
         raise UsageError(
