@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     def configure(common: dict[str, Any], loop: "FleetLoop") -> ControllerConfig:
         law: Any = None if options.check else law_of(common["scenario"])
         return ControllerConfig(
-            **common, law=law, message=loop.payload, clear_alarm=options.clear_alarm
+            **common, law=law, message=loop.message or None, clear_alarm=options.clear_alarm
         )
 
     message = message_of(options.message)

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
 
+from runtime.errors import UsageError
+
 Deliver = Callable[[str, bytes, int], None]
 """Takes key, payload and t_ns: the publisher's time stamp in nanoseconds since 1970.
 
@@ -13,7 +15,7 @@ before what it answers; where clocks disagree the two may carry the same nanosec
 """
 
 
-class TransportError(Exception):
+class TransportError(UsageError):
     """The bus cannot be used; the text is one line that names the endpoint, key or file."""
 
 

@@ -2,22 +2,24 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from protocol.link.pacing import STATUS_S
 from protocol.scenario import Scenario
-from runtime.bus_options import ServiceOptions, buses_of, check_addresses, fleet_of
+from runtime.bus_options import ServiceOptions, buses_of, endpoints_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
-from runtime.fleet import Fleet, FleetLoop, text_of
+from runtime.fleet import FLEET_STATUS_S, Fleet, FleetLoop, fleet_of
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.scenario_file import keep_scenario, scenario_of
 from runtime.shipped import scenario_file_of
+from runtime.signals import stop_on_signals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +38,8 @@ class EndConfig:
     """What either end is started with.
 
     ``pace`` is the plant's; ``seed`` is for experiments only; ``folder`` is where the files that
-    the scenario names are looked for; ``bounds`` are the trace's.
+    the scenario names are looked for; ``bounds`` are the trace's; ``status_s`` are the seconds
+    between statuses.
     """
 
     scenario: Scenario
@@ -47,6 +50,7 @@ class EndConfig:
     seed: int | None = None
     folder: Path = Path()
     bounds: Bounds = field(default_factory=Bounds)
+    status_s: float = STATUS_S
 
 
 C = TypeVar("C", bound=EndConfig)
@@ -73,6 +77,9 @@ def run_end(
 ) -> int:
     """Run one end, or that of each loop of a fleet, until it is over; returns the exit code.
 
+    A fleet runs until it is stopped. A loop of it that cannot be opened, or fails, is logged, and
+    harms no other.
+
     Parameters
     ----------
     options : EndOptions
@@ -87,8 +94,9 @@ def run_end(
     UsageError
         When an option's value is wrong.
     """
-    check_addresses(options, log.name)
+    ends = endpoints_of(options, log.name)
     pace, scenarios = pace_of(options.pace), cache(scenario_of)
+    fleet, many = fleet_of(options, message), options.fleet is not None
 
     def configured(loop: FleetLoop, run_dir: Path) -> C:
         common = {
@@ -99,32 +107,42 @@ def run_end(
             "seed": loop.seed,
             "folder": folder_of("--folder", options.folder, scenario_file_of(loop.scenario).parent),
             "bounds": options.bounds,
+            "status_s": FLEET_STATUS_S if many else STATUS_S,
         }
         return configure(common, loop)
 
-    fleet = fleet_of(options, message)
-    if fleet is not None:
-        check_loops(fleet, configured)
-        if options.check:
-            return fine(f"{len(fleet.loops)} loops")
-        folder = run_dir_of(options.run_dir)
-        with buses_of(options, log.name) as (stopping, field_bus, management):
-            host = Host(field_bus, management, stopping, fleet=True)
-            return run_fleet(fleet, folder, configured, add, host, log)
-    loop = FleetLoop(
-        id=options.loop, scenario=options.scenario, message=text_of(message), seed=options.seed
-    )
-    config = configured(loop, Path())
+    check_loops(fleet, configured)
+    if options.check and many:
+        return fine(f"{len(fleet.loops)} loops")
     if options.check:
-        return fine(f"scenario {config.scenario.name}")
-    config = replace(config, run_dir=run_dir_of(options.run_dir))
-    if loop.seed is not None:
-        log.warning("seed %d: symbols are predictable, for experiments only", loop.seed)
-    with buses_of(options, log.name) as (stopping, field_bus, management):
-        keep_scenario(config.run_dir, loop.scenario)
-        host = Host(field_bus, management, stopping)
-        add(host, config, log)
+        return fine(f"scenario {scenarios(options.scenario).name}")
+    run_dir = run_dir_of(options.run_dir)
+    if options.seed is not None and not many:
+        log.warning("seed %d: symbols are predictable, for experiments only", options.seed)
+    with (
+        stop_on_signals() as stopping,
+        buses_of(ends, stopping, log, options.metrics) as (field_bus, management),
+    ):
+        host = Host(field_bus, management, stopping, fleet=many)
+        for loop in fleet.loops.values():
+            folder = run_dir / loop.id if many else run_dir
+            try:
+                keep_scenario(folder, loop.scenario)
+                add(host, configured(loop, folder), log.getChild(loop.id) if many else log)
+            except Exception as error:
+                if not many:
+                    raise
+                log.error("loop %s: %s", loop.id, _in_a_line(error))
+        freeze_startup()
+        if many:
+            log.info("%d of %d loops run", len(host.loops), len(fleet.loops))
         return host.run()
+
+
+def _in_a_line(error: Exception) -> str:
+    if isinstance(error, UsageError | Failure | OSError):
+        return str(error).replace("\n", "; ")
+    return f"unexpected {type(error).__name__}: {error}"
 
 
 def check_loops(fleet: Fleet, configured: Callable[[FleetLoop, Path], EndConfig]) -> None:
@@ -148,29 +166,3 @@ def check_loops(fleet: Fleet, configured: Callable[[FleetLoop, Path], EndConfig]
             problems += [f"{where}{line}" for line in error.lines]
     if problems:
         raise UsageError(problems)
-
-
-def run_fleet(
-    fleet: Fleet,
-    run_dir: Path,
-    configured: Callable[[FleetLoop, Path], C],
-    add: Add[C],
-    host: Host,
-    log: logging.Logger,
-) -> int:
-    """Run one end of every loop of a fleet until told to stop; returns the exit code.
-
-    A loop that cannot be opened, or fails, is logged, and harms no other.
-    """
-    for loop in fleet.loops.values():
-        folder = run_dir / loop.id
-        try:
-            keep_scenario(folder, loop.scenario)
-            add(host, configured(loop, folder), log.getChild(loop.id))
-        except (UsageError, Failure, OSError) as error:
-            log.error("loop %s: %s", loop.id, str(error).replace("\n", "; "))
-        except Exception as error:
-            log.error("loop %s: unexpected %s: %s", loop.id, type(error).__name__, error)
-    freeze_startup()
-    log.info("%d of %d loops run", len(host.loops), len(fleet.loops))
-    return host.run()

@@ -1,4 +1,4 @@
-"""Fleets: which loops a host runs, by a file or by their number.
+"""Which loops a host runs: a single one, those of a file, or so many of one scenario.
 
     [[loop]]
     id = "boiler-1"
@@ -13,11 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+)
 
 from protocol.schemes.framing import MAX_PAYLOAD
-from protocol.topics import check_loop
+from protocol.topics import DEFAULT_LOOP, check_loop
 from protocol.wrong_fields import wrong_fields
+from runtime.bus_options import ServiceOptions
 from runtime.errors import UsageError
 from runtime.files import read_toml
 
@@ -25,16 +34,18 @@ SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and
 all at once would wait for one another."""
 
-STATUS_S = 1.0
-"""Seconds between statuses of each loop."""
+FLEET_STATUS_S = 1.0
+"""Seconds between statuses of each loop of a fleet."""
 
 LARGEST_FLEET = 10_000
 
 
-def _short(message: str) -> str:
-    if len(message.encode("utf-8", errors="surrogateescape")) > MAX_PAYLOAD:
-        raise ValueError(f"expected {MAX_PAYLOAD} bytes at most")
-    return message
+def _payload(message: object) -> bytes:
+    """A message as it is sent; a file has it as text."""
+    payload = message.encode() if isinstance(message, str) else message
+    if not isinstance(payload, bytes) or len(payload) > MAX_PAYLOAD:
+        raise ValueError(f"expected a text of at most {MAX_PAYLOAD} bytes")
+    return payload
 
 
 class FleetLoop(BaseModel):
@@ -44,23 +55,20 @@ class FleetLoop(BaseModel):
 
     id: Annotated[str, AfterValidator(check_loop)]
     scenario: str = "sustained"
-    message: Annotated[str, AfterValidator(_short)] = ""
+    message: Annotated[bytes, BeforeValidator(_payload)] = b""
     seed: Annotated[int | None, Field(ge=0)] = None
-
-    @property
-    def payload(self) -> bytes | None:
-        """The message in bytes; None where there is none."""
-        return self.message.encode("utf-8", errors="surrogateescape") or None
 
 
 class _FleetFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    loop: Annotated[tuple[FleetLoop, ...], Field(min_length=1)]
+    loop: tuple[FleetLoop, ...]
 
     @field_validator("loop")
     @classmethod
     def _told_apart(cls, loops: tuple[FleetLoop, ...]) -> tuple[FleetLoop, ...]:
+        if not loops:
+            raise ValueError("expected a loop at least")
         if len({loop.id for loop in loops}) < len(loops):
             raise ValueError("expected an id for each of its own")
         return loops
@@ -74,31 +82,37 @@ class Fleet:
     path: Path | None = None
 
 
-def numbered(count: int, scenario: str, message: str, seed: int | None) -> Fleet:
-    """``count`` loops of one scenario, ``loop-0000`` and on; each has a seed of its own.
+def fleet_of(options: ServiceOptions, message: bytes | None = None) -> Fleet:
+    """The loops that the options name: those of a file, so many numbered ones, or a single one.
+
+    Those that stand in no file have one scenario and one ``message``; numbered ones are
+    ``loop-0000`` and on, and each has a seed of its own.
 
     Raises
     ------
     UsageError
-        When that is no number of loops.
+        When the file or the number is wrong, or an option beside it is for a single loop.
     """
-    if not 1 <= count <= LARGEST_FLEET:
-        raise UsageError(f"--fleet: got {count}, expected 1 to {LARGEST_FLEET}")
-    loops = [
-        FleetLoop(
-            id=f"loop-{number:04d}",
-            scenario=scenario,
-            message=message,
+    names, seed = [options.loop], options.seed
+    if options.fleet is not None:
+        if options.loop != DEFAULT_LOOP:
+            raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
+        if not options.fleet.isdecimal():
+            return read_fleet(Path(options.fleet))
+        count = int(options.fleet)
+        if not 1 <= count <= LARGEST_FLEET:
+            raise UsageError(f"--fleet: got {count}, expected 1 to {LARGEST_FLEET}")
+        names = [f"loop-{number:04d}" for number in range(count)]
+    loops = {
+        name: FleetLoop(
+            id=name,
+            scenario=options.scenario or "",
+            message=message or b"",
             seed=None if seed is None else seed + number,
         )
-        for number in range(count)
-    ]
-    return Fleet({loop.id: loop for loop in loops})
-
-
-def text_of(message: bytes | None) -> str:
-    """A message as :attr:`FleetLoop.message` has it; empty where there is none."""
-    return (message or b"").decode("utf-8", errors="surrogateescape")
+        for number, name in enumerate(names)
+    }
+    return Fleet(loops)
 
 
 def read_fleet(path: Path) -> Fleet:

@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -60,16 +60,17 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 
 
 @dataclass(slots=True)
-class _Loop:
+class _Hosted:
+    """One end that the host runs, under the id of its loop."""
+
     endpoint: Endpoint
-    ports: LoopPorts
-    field: Bus
+    field_bus: Bus
+    ports: LoopPorts = field(init=False)
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
     failed: Exception | None = None  # what it has done last may be carried out in part
     on_failure: Callable[[Exception], None] | None = None
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
-    look: bool = False  # whether its links are to be counted before it acts
 
 
 class Sparing:
@@ -138,7 +139,7 @@ class Host:
         self.field, self._management = field_bus, management
         self._stopping = stopping
         self.fleet = fleet
-        self._loops: dict[str, _Loop] = {}
+        self._loops: dict[str, _Hosted] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[Callable[[], None]] = Inbox()
@@ -166,7 +167,7 @@ class Host:
         endpoint: Endpoint,
         files: Files,
         log: logging.Logger,
-        field: Bus | None = None,
+        field_bus: Bus | None = None,
         on_failure: Callable[[Exception], None] | None = None,
     ) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over.
@@ -174,24 +175,23 @@ class Host:
         Parameters
         ----------
         loop, endpoint, files, log
-        field : Bus, optional
+        field_bus : Bus, optional
             The field bus as this end has it, with somebody who listens.
         on_failure : callable, optional
             Takes the error that this end has failed with, once its files are closed.
         """
-        field = self.field if field is None else field
+        hosted = _Hosted(endpoint, field_bus or self.field, on_failure=on_failure)
         with self.turns:
             publishers: dict[type[Message], Publisher] = {}
             for kind in endpoint.sends:
-                bus = field if kind in FIELD else self._management
+                bus = hosted.field_bus if kind in FIELD else self._management
                 publishers[kind] = bus.publisher(key_of(kind, loop), many=self.fleet)
                 if endpoint.makes_keys and kind in FIELD:
-                    publishers[kind] = Sparing(publishers[kind], partial(self._crowding, loop))
+                    publishers[kind] = Sparing(publishers[kind], partial(self._crowding, hosted))
             extract = self._extracting(loop) if endpoint.makes_keys else None
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            ports = LoopPorts(files, publishers, log, told, extract)
-            one = _Loop(endpoint, ports, field, look=endpoint.makes_keys, on_failure=on_failure)
-            self._loops[loop] = one
+            hosted.ports = LoopPorts(files, publishers, log, told, extract)
+            self._loops[loop] = hosted
             for kind in endpoint.receives:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.receives:
@@ -298,7 +298,6 @@ class Host:
                     continue
                 loop.wakes_at = inf
                 if loop.endpoint.wake_at() <= now:
-                    loop.look = loop.endpoint.makes_keys
                     self._do(name, loop.endpoint.wake)
                 else:
                     self._schedule(name, loop)
@@ -321,32 +320,26 @@ class Host:
 
     # --- under the lock ---------------------------------------------------------------------------
 
-    def _look_at_links(self, loop: _Loop) -> None:
+    def _look_at_links(self, loop: _Hosted) -> None:
         """Tell an end how often its messages leave, where that has changed."""
-        loop.look = False
         count = self.field.appearances()
         if count != loop.appearances:
             loop.appearances = count
             perform(loop.endpoint.appear(count), loop.ports.do)
 
-    def _crowding(self, name: str) -> bool:
-        """Whether messages leave more often than the loop knew when it made its last one.
+    def _crowding(self, loop: _Hosted) -> bool:
+        """Whether messages leave more often than the end knew when it made its last one.
 
-        It is asked before each message leaves; the loop is told before it acts again.
+        It is asked before each message leaves; the end is told before it acts again.
         """
-        loop = self._loops.get(name)
-        if loop is None:
-            return False
-        count = self.field.appearances()
-        loop.look |= count != loop.appearances
-        return count > loop.appearances
+        return self.field.appearances() > loop.appearances
 
     def _hear(self, key: str, payload: bytes) -> None:
         name, kind = self._by_key.get(key, ("", Message))
         loop = self._loops.get(name)
         if loop is not None:
             if kind in FIELD:
-                loop.field.taken(key, payload)
+                loop.field_bus.taken(key, payload)
             self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
 
     def _extracted(self, name: str, block: ExtractedBlock | ExtractionFailed) -> None:
@@ -359,7 +352,7 @@ class Host:
         loop = self._loops[name]
         try:
             if loop.started:  # a device may take its time to be found
-                if loop.look:
+                if loop.endpoint.makes_keys:
                     self._look_at_links(loop)
                 self._turn.begin()
             perform(act(time.monotonic()), loop.ports.do)
@@ -380,7 +373,7 @@ class Host:
             return
         self._schedule(name, loop)
 
-    def _schedule(self, name: str, loop: _Loop) -> None:
+    def _schedule(self, name: str, loop: _Hosted) -> None:
         due = loop.endpoint.wake_at()
         if due < loop.wakes_at:
             loop.wakes_at = due
@@ -413,7 +406,7 @@ class Host:
             self._inbox.put(_look_up, None)
 
     @contextmanager
-    def _lost(self, loop: _Loop, *kinds: type[Exception]) -> Iterator[None]:
+    def _lost(self, loop: _Hosted, *kinds: type[Exception]) -> Iterator[None]:
         """Log an error of these kinds in an end's last moments; of a fleet's end any error."""
         try:
             yield

@@ -116,6 +116,23 @@ def host_and_port(address: str) -> tuple[str, int]:
 
 
 @contextmanager
+def noted(metrics: str | None, bus: Bus) -> Iterator[Bus]:
+    """The bus on which statuses are published; at ``metrics`` Prometheus is answered too.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be.
+    """
+    if metrics is None:
+        yield bus
+        return
+    statuses: Statuses = {}
+    with served(metrics, statuses):
+        yield NotedBus(bus, statuses)
+
+
+@contextmanager
 def served(address: str, statuses: Statuses) -> Iterator[int]:
     """Answer Prometheus at ``HOST:PORT`` (port 0: any free one); gives the port.
 

@@ -29,7 +29,6 @@ class Told:
 
     help: str
     metavar: str | None = None
-    choices: tuple[str, ...] | None = None
     least: int | None = None
     many: bool = False
     group: str = ""
@@ -82,7 +81,6 @@ def add_arguments(parser: argparse.ArgumentParser, kind: type, **words: str) -> 
             type=_number(hints[one.name]),
             required=one.default is MISSING,
             default=None if told.many or one.default is MISSING else one.default,
-            choices=told.choices,
             metavar=told.metavar,
             help=told.help,
         )

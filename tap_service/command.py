@@ -9,22 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from runtime.bus_options import (
-    ServiceOptions,
-    add_service_arguments,
-    check_addresses,
-    endpoints_of,
-    fleet_of,
-    loop_of,
-    noted,
-)
+from runtime.bus_options import ServiceOptions, add_service_arguments, endpoints_of
 from runtime.errors import UsageError
+from runtime.fleet import FleetLoop, fleet_of
 from runtime.locks import alone_in
 from runtime.options import fine, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
-    from runtime.fleet import FleetLoop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +122,8 @@ def run(args: argparse.Namespace) -> int:
     options = picked(TapOptions, vars(args))
     if options.knowledge is None:
         raise UsageError("--knowledge: got none, expected a file (wyner tap reads a scenario)")
-    return run_with_knowledge(options, knowledge_in(options.knowledge))
+    given = knowledge_in(options.knowledge)
+    return run_with_knowledge(options, lambda _loop: given)
 
 
 def knowledge_in(path: str) -> GivenKnowledge:
@@ -148,17 +141,17 @@ def knowledge_in(path: str) -> GivenKnowledge:
 
 
 def run_with_knowledge(
-    options: TapOptions,
-    told: GivenKnowledge | None,
-    knowledge_of: "Callable[[FleetLoop], GivenKnowledge] | None" = None,
+    options: TapOptions, knowledge_of: Callable[[FleetLoop], GivenKnowledge]
 ) -> int:
-    """Run the service with what it was told, until it is told to stop.
+    """Run the service until it is told to stop; ``knowledge_of`` says what each loop's tap is told.
 
-    In a fleet ``knowledge_of`` says what each loop's tap is told; without it all are told alike.
+    Raises
+    ------
+    UsageError
+        When an option's value is wrong.
     """
     from pathlib import Path
 
-    from runtime.bus import TransportError
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -166,38 +159,29 @@ def run_with_knowledge(
     from tap_service.service import TapService
 
     own_view = None if options.view is None else read_json("--view", options.view, View)
-    check_addresses(options, "tap")
-    field, adversary = (
-        endpoints_of(options, "tap", "field"),
-        endpoints_of(options, "tap", "adversary"),
-    )
-    fleet = fleet_of(options)
-    buses = field, adversary, partial(noted, options.metrics)
+    ends = endpoints_of(options, "tap")
+    fleet, many = fleet_of(options), options.fleet is not None
 
-    def config_of(told: GivenKnowledge | None, loop: str, folder: Path) -> TapConfig:
-        assert told is not None, "a fleet's taps are told by loop"
+    def config_of(loop: FleetLoop) -> TapConfig:
+        told = knowledge_of(loop)
         names = names_of(options.eavesdropper)
         names, where = (names, "--eavesdropper: ") if names else (told.names, told.where)
         view = own_view or View.model_validate(told.view)
         if options.seed is not None:
             view = view.model_copy(update={"seed": options.seed})
+        folder = Path(options.run_dir)
         config = TapConfig(
-            run_dir=folder,
+            run_dir=folder / loop.id if many else folder,
             knowledge=told.knowledge.without_secrets(),
             oracle_knowledge=told.oracle,
             names=names or default_names(told.knowledge),
             view=view,
-            loop=loop,
+            loop=loop.id,
             limits=options.bounds,
         )
         find_each(config.names, config.knowledge_of, where)
-        return config
-
-    def config_in_fleet(loop: "FleetLoop") -> TapConfig:
-        told_here = told if knowledge_of is None else knowledge_of(loop)
-        config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
-            if runs_beside(name):
+            if many and runs_beside(name):
                 raise UsageError(
                     f"--eavesdropper: {name} needs a process of its own; in a fleet expected "
                     "set-membership, nearest-centre, oracle or key-solver"
@@ -205,21 +189,16 @@ def run_with_knowledge(
         return config
 
     try:
-        if fleet is not None:
-            for loop in fleet.loops.values():
-                config_in_fleet(loop)
-                if not options.check:
-                    break
-            if options.check:
-                return fine(f"{len(fleet.loops)} loops")
-            with alone_in(run_dir_of(options.run_dir) / "tap"):
-                return run_tap(partial(TapFleet, fleet, config_in_fleet), *buses)
-        config = config_of(told, loop_of(options.loop), Path(options.run_dir))
+        for loop in fleet.loops.values():
+            config = config_of(loop)
+            if not options.check:
+                break
+        if options.check and many:
+            return fine(f"{len(fleet.loops)} loops")
         if options.check:
             return fine(f"eavesdroppers {', '.join(config.names)}")
+        make = partial(TapFleet, fleet, config_of) if many else partial(TapService, config)
         with alone_in(run_dir_of(options.run_dir) / "tap"):
-            return run_tap(partial(TapService, config), *buses)
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+            return run_tap(make, ends, options.metrics)
     except KnowledgeError as error:
         raise UsageError(f"--eavesdropper: {error}") from None

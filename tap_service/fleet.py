@@ -7,12 +7,13 @@ eavesdroppers, which need a process each, read the recordings afterwards (``wyne
 import os
 import threading
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
 from protocol.topics import every_loop
+from runtime.bus_options import buses_of
 from runtime.collection import freeze_startup
 from runtime.errors import DONE, Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
@@ -37,46 +38,43 @@ a share of the loops is told of, all in :data:`TELL_S`."""
 NICENESS: Final = 10
 """Guessing gives way to the loop where they share a processor."""
 
-Note = Callable[["Bus"], AbstractContextManager["Bus"]]
-"""What else is done with the bus that statuses are published on, such as metrics."""
-
 
 def run_tap(
     make: Callable[[], "TapService | TapFleet"],
-    field: "Addresses",
-    adversary: "Addresses",
-    note: Note,
+    ends: "Mapping[str, Addresses]",
+    metrics: str | None,
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
+
+    Parameters
+    ----------
+    make : callable
+    ends : mapping
+        Of the buses field and adversary.
+    metrics : str, optional
+        Where Prometheus is answered.
 
     Raises
     ------
     KnowledgeError
         When an eavesdropper cannot be made.
-    runtime.bus.TransportError
+    UsageError
         When a bus cannot be opened; nothing has started in either case.
     """
-    from runtime.link_watchdog import watched
-    from runtime.zenoh_bus import open_bus
-
-    with ExitStack() as stack:
-        stopping = stack.enter_context(stop_on_signals())
+    with stop_on_signals() as stopping:
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
         service = make()
-        stack.callback(service.close)
-        field_bus = stack.enter_context(open_bus(field))
-        told_on = stack.enter_context(open_bus(adversary))
-        service.attach(field_bus, stack.enter_context(note(told_on)))
-        buses = field_bus, told_on
-        stack.enter_context(
-            watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
-        )
-        # On Linux this is the calling thread's alone: the transport's threads, already
-        # running, still take messages off the wire at once.
-        os.nice(NICENESS)
-        freeze_startup()
-        service.run(stopping)
+        with (
+            closing(service),
+            buses_of(ends, stopping, service.log, metrics, SILENT_S) as (field, adversary),
+        ):
+            service.attach(field, adversary)
+            # On Linux this is the calling thread's alone: the transport's threads, already
+            # running, still take messages off the wire at once.
+            os.nice(NICENESS)
+            freeze_startup()
+            service.run(stopping)
     return DONE
 
 

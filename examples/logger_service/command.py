@@ -19,8 +19,8 @@ def run(args):
     def heard(_key, payload, _t_ns):
         print(payload.decode(), flush=True)
 
-    ends = endpoints_of(picked(BusOptions, vars(args)), "logger", "field")
-    with stop_on_signals() as stopping, open_bus(ends) as field:
+    ends = endpoints_of(picked(BusOptions, vars(args)), "logger")
+    with stop_on_signals() as stopping, open_bus(ends["field"]) as field:
         field.subscribe(key_of(Measurement, args.loop), heard)
         stopping.wait()
     return 0

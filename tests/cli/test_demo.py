@@ -71,7 +71,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
             "missed": missed, "steps": 460, "bits_per_second": 20.0, "delivered_k": 273,
         }  # fmt: skip
         scenario = scenario_of("packed")
-        return Outcome(scenario, summary, failure=None, interrupted=False, left=False)
+        return Outcome(summary, [], scenario, failure=None, interrupted=False, left=False)
 
     monkeypatch.setattr(demo, "run_session", session)
     monkeypatch.setattr(demo, "SLOWEST", 2)

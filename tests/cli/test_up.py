@@ -123,7 +123,7 @@ def test_a_run_whose_eavesdropper_failed_ends_with_1(
     """What she would have had nobody knows: it is no success."""
     summary = {"failed": failed, "delivered": True}
     scenario = scenario_of("sustained")
-    outcome = session.Outcome(scenario, summary, None, interrupted=False, left=False)
+    outcome = session.Outcome(summary, [], scenario, None, interrupted=False, left=False)
     monkeypatch.setattr(up, "run_session", lambda _options: outcome)
     assert main(["up", "--json", "--until-delivered"]) == code
     assert json.loads(capsys.readouterr().out)["failed"] == failed

@@ -27,7 +27,7 @@ from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import LADDER, named
 from tests.support.programs import ROOT, started
-from tests.support.recorded_pair import RecordedPair
+from tests.support.recorded_pair import RecordedPair, read_lines
 from tests.support.scenarios import text_of
 from wyner.cli.main import main
 
@@ -40,15 +40,6 @@ def guide(title: str) -> str:
     _, found, rest = GUIDES.partition(f"\n## {title}\n")
     assert found, title
     return rest.partition("\n## ")[0]
-
-
-def table(title: str, folder: Path, name: str) -> Path:
-    """The guide's table of a scenario, written to a file."""
-    found = re.search(r"^```toml\n(.*?)^```$", guide(title), re.DOTALL | re.MULTILINE)
-    assert found is not None
-    path = folder / name
-    path.write_text(found[1])
-    return path
 
 
 def program(title: str, folder: Path, name: str) -> Path:
@@ -120,28 +111,21 @@ def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path:
     assert main(["check", str(tmp_path / "run")]) == 0
 
 
-def law_scenario(folder: Path, law: str) -> Path:
-    """The shipped scenario under the page's law."""
-    stated = (folder / "law.toml").read_text().removeprefix("[control]\n")
-    text = text_of(
-        "sustained",
-        ("horizon = 250", "horizon = 60"),
-        ("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]"),
-        ('law = "sustained"\n', stated.replace("examples/own/nearer.py:Nearer", law)),
-    )
-    path = folder / "own.toml"
-    path.write_text(text)
-    return path
-
-
 @pytest.mark.slow
 @pytest.mark.integration
 def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    program("A control law of your own", tmp_path, "nearer.py")
-    table("A control law of your own", tmp_path, "law.toml")
-    law_scenario(tmp_path, "nearer.py:Nearer")
+    title = "A control law of your own"
+    program(title, tmp_path, "nearer.py")
+    (stated,) = re.findall(r"^```toml\n\[control\]\n(.*?)^```$", guide(title), re.DOTALL | re.M)
+    text = text_of(
+        "sustained",
+        ("horizon = 250", "horizon = 60"),
+        ("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]"),
+        ('law = "sustained"\n', stated.replace("examples/own/nearer.py", "nearer.py")),
+    )
+    (tmp_path / "own.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
     assert main(["design", "own.toml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["law"] == "nearer.py:Nearer"
@@ -212,29 +196,15 @@ def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) 
 def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     tmp_path: Path,
 ) -> None:
-    page = guide("A run's folder")
-    told = {
-        name: row
-        for row in page.splitlines()
-        if row.startswith("| `")
-        for name in re.findall(r"`(\w+)`", row.split("|")[1])
-    }
+    rows = [row for row in guide("A run's folder").splitlines() if row.startswith("| `")]
+    told = {name: row for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])}
     run = RecordedPair(tmp_path / "run", b"two by two")
     run.until_received(1)
     run.stop()
-    for mark in ("continued", "end", "lines", "sha256", "next"):
-        assert f"`{mark}`" in page
-    events = [
-        json.loads(line)
-        for side in ("plant", "controller")
-        for line in (tmp_path / "run" / side / "trace.jsonl").read_text().splitlines()
-    ]
-    seen = {event["event"] for event in events}
-    assert {"transition", "session", "sent", "recovered", "end"} <= seen
-    for event in events:
-        if event["event"] not in MARKS:
-            for field in set(event) - {"event"}:
-                assert f"`{field}`" in told[event["event"]], (event["event"], field)
+    for trace in (tmp_path / "run").glob("*/trace.jsonl"):
+        for event in read_lines(trace):
+            if (name := event.pop("event")) not in MARKS:
+                assert all(f"`{field}`" in told[name] for field in event), name
     code = (ROOT / "protocol" / "link").rglob("*.py")
     named = {name for f in code for name in re.findall(r'"event": "(\w+)"', f.read_text())}
     assert len(named) > 8

@@ -76,14 +76,11 @@ def test_what_is_installed_and_no_more(wheel: Path) -> None:
     assert not [name for name in files if name.endswith(".csv")]
 
 
-def test_a_run(away: Path) -> None:
+def test_a_run_and_a_figure(away: Path) -> None:
     options = ["--scenario", "sustained", "--pace", "fast", "--until-delivered"]
     out = wyner(away, "up", *options, "--message", "Hi")
     assert "bits by the paper's rule. True: at most" in out
     (run,) = (away / "runs").iterdir()
     assert " 0 FAIL" in wyner(away, "check", str(run))
-
-
-def test_a_figure(away: Path) -> None:
     wyner(away, "design", "packed", "--plot", "mine.svg")
     assert (away / "mine.svg").stat().st_size > 10_000

@@ -4,12 +4,10 @@ import math
 from itertools import product
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, predict
-from protocol.arrays import Array
 from protocol.link.session import rules_of
 from runtime.scenario_file import scenario_of
 
@@ -139,77 +137,6 @@ def test_a_number_that_is_none_is_never_agreed() -> None:
     for bad in (math.nan, math.inf, -math.inf):
         assert not PAPER.verdict((0.0, 0.0), ((0.0,), (3.0,)), (bad, 0.0)).agreed
         assert not PAPER.verdict((0.0, 0.0), ((0.0,), (bad,)), (0.0, 0.0)).agreed
-
-
-# --- one verdict, whoever computes it ------------------------------------------------------------
-
-
-def centres_in_order(A: Array, B: Array, x: Array, u: Array) -> Array:
-    """A x + B u with one multiplication or addition at a time, in the scalar function's order."""
-    out = []
-    for i in range(len(A)):
-        total = A[i, 0] * x[:, 0]
-        for j in range(1, A.shape[1]):
-            total = total + A[i, j] * x[:, j]
-        for j in range(B.shape[1]):
-            total = total + B[i, j] * u[:, j]
-        out.append(total)
-    return np.stack(out, axis=1)
-
-
-def verdicts(of: AgreementRule, x: Array, candidates: Array, x_next: Array) -> tuple[Array, Array]:
-    """Gauges, shape (R, M), and symbols, shape (R,), of many transitions at once."""
-    A, B, w = np.array(of.A), np.array(of.B), np.array(of.gauge.half_widths)
-    gauges = np.stack(
-        [
-            (np.abs(x_next - centres_in_order(A, B, x, candidates[:, i])) / w).max(axis=1)
-            for i in range(candidates.shape[1])
-        ],
-        axis=1,
-    )
-    inside = gauges <= INSIDE
-    agreed = (inside.sum(axis=1) == 1) & (gauges <= of.alpha).all(axis=1)
-    return gauges, np.where(agreed, inside.argmax(axis=1), NO_SYMBOL)
-
-
-def on_the_edges(of: AgreementRule, rng: np.random.Generator, rows: int) -> tuple[Array, ...]:
-    """Random transitions, half of them with x_next on a set's edge or a few floats beside it."""
-    n, m = len(of.A), len(of.B[0])
-    w = np.array(of.gauge.half_widths)
-    x = rng.uniform(-10, 10, (rows, n))
-    candidates = rng.uniform(-3, 3, (rows, 2, m))
-    coin = rng.integers(0, 2, rows)
-    u = candidates[np.arange(rows), coin]
-    centre = centres_in_order(np.array(of.A), np.array(of.B), x, u)
-    d = rng.uniform(-1, 1, (rows, n))
-    edge = rng.random((rows, n)) < 0.5
-    reach = np.where(rng.random((rows, 1)) < 0.5, 1.0, of.alpha)
-    d = np.where(edge, np.sign(d) * reach, d)
-    x_next = centre + d * w
-    for _ in range(3):
-        nudge = rng.integers(-1, 2, (rows, n))
-        x_next = np.where(nudge == 0, x_next, np.nextafter(x_next, nudge * 1e9))
-    return x, candidates, x_next
-
-
-def agree_on_all(of: AgreementRule, seed: int, rows: int) -> None:
-    x, candidates, x_next = on_the_edges(of, np.random.default_rng(seed), rows)
-    gauges, symbols = verdicts(of, x, candidates, x_next)
-    close = 0
-    for i, (a, c, b) in enumerate(
-        zip(x.tolist(), candidates.tolist(), x_next.tolist(), strict=True)
-    ):
-        verdict = of.verdict(a, c, b)
-        assert verdict.gauges == tuple(gauges[i]), (a, c, b)
-        assert verdict.symbol == symbols[i], (a, c, b)
-        close += any(abs(g - t) < 1e-13 for g in verdict.gauges for t in (1.0, of.alpha))
-    assert close > rows / 4, "the edges were not visited"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("like", [PAPER, TANKS], ids=["paper", "quadruple-tank"])
-def test_arrays_give_the_same_verdicts(like: AgreementRule) -> None:
-    agree_on_all(rule(2.0, like), seed=1, rows=20_000)
 
 
 @given(transitions(like=PAPER), alphas)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import Carry, decrypt, encrypt
+from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import INITIAL, MESSAGE, TEST, Switched, SwitchedState
 from protocol.schemes.table import advance_many
 
@@ -65,8 +66,9 @@ def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
 def test_what_is_not_in_the_figure_is_refused(
     state: SwitchedState, verdict: int, text: str
 ) -> None:
-    with pytest.raises(ValueError, match=f"^{text}$"):
-        Switched(2).advance(state, verdict)
+    for scheme in (Switched(2), Pipelined(2)):
+        with pytest.raises(ValueError, match=f"^{text}$"):
+            scheme.advance(state, verdict)
 
 
 @given(sizes.flatmap(lambda m: st.tuples(st.just(m), st.integers(0, m - 1), st.integers(0, m - 1))))

@@ -2,19 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.base import decrypt, encrypt
-from protocol.schemes.switched import INITIAL, Switched
-from protocol.streams import CIPHER, Stream
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
 from tests.support.recorded_pair import law_of
 from tests.support.scenarios import changed
 from wyner.simulate.engine import (
-    Runs,
     SimulationError,
     chunks,
     follow,
@@ -87,72 +81,23 @@ def test_a_state_outside_every_set_ends_the_simulation_with_its_step() -> None:
 # --- the link ------------------------------------------------------------------------------------
 
 
-def made_up(symbol: list[int], largest: list[float], coin: list[int]) -> Runs:
-    scenario, _ = law_of("sustained")
-    return Runs(
-        scenario=scenario,
-        seed=6,
-        runs=range(1),
-        coin=np.array(coin, dtype=np.int8)[:, None],
-        symbol=np.array(symbol, dtype=np.int8)[:, None],
-        largest=np.array(largest)[:, None],
-        state_cost=np.zeros(1),
-        input_effort=np.zeros(1),
-        cost=np.zeros(1),
-    )
-
-
-transitions = st.lists(
-    st.tuples(
-        st.sampled_from([NO_SYMBOL, 0, 1]), st.sampled_from([0.9, 1.5, 2.9, 8.0]), st.integers(0, 1)
-    ),
-    min_size=1,
-    max_size=60,
-)
-
-
-@given(transitions, st.lists(st.integers(0, 1), max_size=40), st.sampled_from(ALPHAS))
-@settings(max_examples=200, deadline=None)
-def test_counts_and_transfer_are_those_of_the_scheme(
-    rows: list[tuple[int, float, int]], message: list[int], alpha: float
-) -> None:
-    symbol, largest, coin = (list(column) for column in zip(*rows, strict=True))
-    runs = made_up(symbol, largest, coin)
-    cipher_stream = Stream(6, CIPHER)
-    scheme, state = Switched(2), INITIAL
-    recovered_all, agreements, mistaken, tested = [], 0, 0, 0
-    ciphers, pads, keys, recovered_steps = [], [], [], []
-    p = 0
-    for j, (candidate, g, b) in enumerate(rows):
-        fresh = int(cipher_stream.at(j)[0] * 2)
-        pad = scheme.pad(state)
-        cipher, got = fresh, NO_SYMBOL
-        if pad != NO_SYMBOL:
-            cipher = encrypt(message[p] if p < len(message) else 0, pad, 2)
-            got = decrypt(cipher, pad, 2)
-            recovered_all.append(got)
-            p += 1
-        tested += scheme.tests(state)
-        verdict = candidate if g <= alpha else NO_SYMBOL
-        state, carry = scheme.advance(state, verdict)
-        if carry.agreed != NO_SYMBOL:
-            agreements += 1
-            mistaken += carry.agreed != b
-        ciphers.append(cipher)
-        pads.append(pad)
-        keys.append(carry.agreed)
-        recovered_steps.append(got)
-    link = follow(runs, [alpha])
-    assert link.tested[0, 0] == tested
-    assert link.agreements[0, 0] == agreements
-    assert link.message_symbols[0, 0] == p
-    assert link.mistaken[0, 0] == mistaken
-    t = transfer(runs, alpha, symbols=message)
-    assert t.cipher[:, 0].tolist() == ciphers
-    assert t.pad[:, 0].tolist() == pads
-    assert t.agreed[:, 0].tolist() == keys
-    assert t.message_symbol[:, 0].tolist() == recovered_steps
-    assert recovered_all[: len(message)] == message[:p]
+def test_what_is_counted_is_what_is_transferred_keys_that_are_not_the_coin_among_it() -> None:
+    spec = {"kind": "gaussian", "half_widths": [0.2, 0.2]}
+    scenario = changed("sustained", plant={"disturbance": spec})
+    runs = simulate_runs(scenario, law_of("sustained")[1], seed=6, runs=range(4), steps=600)
+    counts = follow(runs, ALPHAS)
+    tested = carries(runs, ALPHAS).tested
+    for i, alpha in enumerate(ALPHAS):
+        link = transfer(runs, alpha, symbols=[1, 0, 1])
+        gained = link.agreed != NO_SYMBOL
+        assert (counts.agreements[i] == gained.sum(axis=0)).all()
+        assert (counts.message_symbols[i] == (link.pad != NO_SYMBOL).sum(axis=0)).all()
+        assert (counts.mistaken[i] == (gained & (link.agreed != runs.coin)).sum(axis=0)).all()
+        assert (counts.tested[i] == tested[:, i].sum(axis=0)).all()
+        assert (tested[:, i] == (link.pad == NO_SYMBOL)).all()
+    assert (counts.mistaken[-1] > 0).all()
+    first = link.message_symbol[:, 0]
+    assert first[first != NO_SYMBOL][:4].tolist() == [1, 0, 1, 0]
 
 
 def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -> None:

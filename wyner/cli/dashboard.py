@@ -4,10 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, buses_of, endpoints_of
 from runtime.options import picked
 from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
-from wyner.cli.options import add_run_argument, joined
+from wyner.cli.joining import add_run_argument, joined
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,12 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Watch until q or Ctrl-C."""
     from protocol.text import printable
-    from runtime.bus import TransportError
-    from runtime.errors import DONE, INTERRUPTED, UsageError
-    from runtime.link_watchdog import watched
+    from runtime.errors import DONE, INTERRUPTED
     from runtime.logs import logger
     from runtime.signals import stop_on_signals
-    from runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
@@ -44,23 +41,15 @@ def run(args: argparse.Namespace) -> int:
             "started by hand. Start `wyner up` first, or say --connect",
             file=sys.stderr,
         )
-    loop = loop_of(buses.loop)
-    management, adversary = (
-        endpoints_of(buses, "dashboard", bus) for bus in ("management", "adversary")
-    )
-    try:
-        with (
-            stop_on_signals() as stopping,
-            open_bus(management) as management_bus,
-            open_bus(adversary) as adversary_bus,
-            watched(stopping, logger("dashboard"), management_bus, adversary_bus),
-        ):
-            source = BusSource(management_bus, adversary_bus, loop)
-            if has_screen():
-                ending = run_dashboard(source, until=stopping.is_set)
-            else:
-                ending = run_headless(source, until=stopping.is_set)
-            interrupted = stopping.is_set() or ending is Ending.INTERRUPTED
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+    ends = endpoints_of(buses, "dashboard")
+    with (
+        stop_on_signals() as stopping,
+        buses_of(ends, stopping, logger("dashboard")) as (management, adversary),
+    ):
+        source = BusSource(management, adversary, buses.loop)
+        if has_screen():
+            ending = run_dashboard(source, until=stopping.is_set)
+        else:
+            ending = run_headless(source, until=stopping.is_set)
+        interrupted = stopping.is_set() or ending is Ending.INTERRUPTED
     return INTERRUPTED if interrupted else DONE

@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from runtime.addresses import TlsFiles, check_endpoint
-    from runtime.bus import TransportError
     from runtime.link_watchdog import watched
     from runtime.zenoh_bus import ZenohBus, open_router
     from wyner.deployment.access import access_control
@@ -57,25 +56,22 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(f"--tls {bus}: got several folders, expected one")
         folders[bus] = folder
     log = logger("router")
-    try:
+    for bus, endpoints in listens.items():
+        for endpoint in endpoints:
+            check_endpoint(endpoint, f"--listen {bus}", tls=bus in folders)
+    with stop_on_signals() as stopping, ExitStack() as stack:
+        routers: list[ZenohBus] = []
         for bus, endpoints in listens.items():
-            for endpoint in endpoints:
-                check_endpoint(endpoint, f"--listen {bus}", tls=bus in folders)
-        with stop_on_signals() as stopping, ExitStack() as stack:
-            routers: list[ZenohBus] = []
-            for bus, endpoints in listens.items():
-                tls = TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None
-                rules = access_control(bus) if bus in folders else None
-                routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
-                log.info(
-                    "%s at %s, %s",
-                    bus,
-                    ", ".join(endpoints),
-                    "guarded by certificate" if rules else "open to whoever connects",
-                )
-            stack.enter_context(watched(stopping, log, *routers))
-            stopping.wait()
-            log.info("stopping")
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+            tls = TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None
+            rules = access_control(bus) if bus in folders else None
+            routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
+            log.info(
+                "%s at %s, %s",
+                bus,
+                ", ".join(endpoints),
+                "guarded by certificate" if rules else "open to whoever connects",
+            )
+        stack.enter_context(watched(stopping, log, *routers))
+        stopping.wait()
+        log.info("stopping")
     return DONE

@@ -4,8 +4,9 @@ import argparse
 
 import tap_service.command
 from runtime.errors import UsageError
+from runtime.fleet import FleetLoop
 from runtime.options import picked
-from tap_service.command import GivenKnowledge, TapOptions, knowledge_in, run_with_knowledge
+from tap_service.command import GivenKnowledge, TapOptions, run_with_knowledge
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,20 +22,19 @@ def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
     options = picked(TapOptions, vars(args))
     if options.knowledge is not None:
-        return run_with_knowledge(options, knowledge_in(options.knowledge))
+        return tap_service.command.run(args)
     if options.scenario is None and options.fleet is None:
         raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
     from runtime.scenario_file import scenario_of
 
-    def knowledge_of(name: str) -> GivenKnowledge:
-        scenario = scenario_of(name)
+    def knowledge_of(loop: FleetLoop) -> GivenKnowledge:
+        scenario = scenario_of(loop.scenario)
         return GivenKnowledge(
             scenario.knowledge(),
             scenario.oracle_knowledge(),
             view=scenario.tap.model_dump(exclude={"eavesdroppers"}),
             names=scenario.tap.eavesdroppers,
-            where=f"{name}: tap.eavesdroppers: ",
+            where=f"{loop.scenario}: tap.eavesdroppers: ",
         )
 
-    told = None if options.scenario is None else knowledge_of(options.scenario)
-    return run_with_knowledge(options, told, lambda loop: knowledge_of(loop.scenario))
+    return run_with_knowledge(options, knowledge_of)
