@@ -112,7 +112,7 @@ def run_end(
         }
         return configure(common, loop)
 
-    check_loops(loops, configured)
+    check_loops(loops, configured, many=many)
     if options.check and many:
         return fine(f"{len(loops)} loops")
     if options.check:
@@ -147,14 +147,14 @@ def _in_a_line(error: Exception) -> str:
 
 
 def check_loops(
-    loops: Sequence[FleetLoop], configured: Callable[[FleetLoop, Path], EndConfig]
+    loops: Sequence[FleetLoop], configured: Callable[[FleetLoop, Path], EndConfig], *, many: bool
 ) -> None:
     """Look at the scenario of every loop, and at what is told with it; start nothing.
 
     Raises
     ------
     UsageError
-        With the lines of each scenario that is wrong; of several loops after the first that has it.
+        With the lines of each scenario that is wrong; of a fleet's after the first loop that has it.
     """
     first: dict[str, FleetLoop] = {}
     for loop in loops:
@@ -164,7 +164,7 @@ def check_loops(
         try:
             configured(loop, Path())
         except (UsageError, ScenarioError) as error:
-            where = f"{loop.id}: " if len(loops) > 1 else ""
+            where = f"{loop.id}: " if many else ""
             problems += [f"{where}{line}" for line in error.problems]
     if problems:
         raise UsageError(problems)
