@@ -154,7 +154,7 @@ def check_loops(
     Raises
     ------
     UsageError
-        With the lines of each scenario that is wrong; of a fleet's after the first loop that has it.
+        With the lines of each scenario that is wrong, of a fleet's after its first loop's id.
     """
     first: dict[str, FleetLoop] = {}
     for loop in loops:
