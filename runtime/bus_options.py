@@ -4,16 +4,16 @@ import argparse
 import logging
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.errors import UsageError
+from runtime.link_watchdog import SILENT_S, watched
 from runtime.options import add_arguments, option
 from runtime.services import SERVICES, Ends
-from runtime.signals import stop_on_signals
 
 if TYPE_CHECKING:
     from runtime.addresses import Addresses
@@ -24,31 +24,24 @@ if TYPE_CHECKING:
 ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that bus's default"
 
 
+def _of_buses(help: str, metavar: str) -> Any:
+    """An option that says something of one bus, and may be repeated."""
+    return option(help, metavar, (), many=True, group=ENDPOINTS)
+
+
 @dataclass(frozen=True, kw_only=True)
 class BusOptions:
     """Where a program that joins a running loop finds its buses."""
 
     loop: str = option("id of the control loop", "ID", DEFAULT_LOOP, group=ENDPOINTS)
-    connect: Sequence[str] = option(
-        "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        "BUS=ENDPOINT",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    connect: Sequence[str] = _of_buses(
+        "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)", "BUS=ENDPOINT"
     )
-    client: Sequence[str] = option(
-        "open this bus as a client of the router it connects to",
-        "BUS",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    client: Sequence[str] = _of_buses(
+        "open this bus as a client of the router it connects to", "BUS"
     )
-    tls: Sequence[str] = option(
-        "mutual TLS with ca.pem, cert.pem and key.pem of this folder",
-        "BUS=FOLDER",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    tls: Sequence[str] = _of_buses(
+        "mutual TLS with ca.pem, cert.pem and key.pem of this folder", "BUS=FOLDER"
     )
 
 
@@ -56,12 +49,8 @@ class BusOptions:
 class ServiceOptions(BusOptions):
     """Options that each of the three services has."""
 
-    listen: Sequence[str] = option(
-        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        "BUS=ENDPOINT",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    listen: Sequence[str] = _of_buses(
+        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)", "BUS=ENDPOINT"
     )
 
     scenario: str | None = option("file or shipped name", "S")
@@ -167,9 +156,13 @@ def endpoints_of(options: BusOptions, service: str) -> "dict[str, Addresses]":
 
 @contextmanager
 def buses_of(
-    ends: "Mapping[str, Addresses]", metrics: str | None, log: logging.Logger
-) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
-    """The event that signals set, and the open buses field and management of a service.
+    ends: "Mapping[str, Addresses]",
+    stopping: threading.Event,
+    log: logging.Logger,
+    metrics: str | None = None,
+    silent_s: float = SILENT_S,
+) -> "Iterator[tuple[Bus, Bus]]":
+    """The two buses of a service, open; what it says of itself is published on the second.
 
     They are opened again where a freeze or a silence has left them dead.
 
@@ -177,24 +170,24 @@ def buses_of(
     ----------
     ends : mapping
         Of each bus, from :func:`endpoints_of`.
+    stopping : threading.Event
+        Set where one cannot be opened again.
+    log : logging.Logger
     metrics : str, optional
         Where Prometheus is answered.
-    log : logging.Logger
+    silent_s : float
+        Seconds without a message on the field bus after which both are opened again.
 
     Raises
     ------
     UsageError
         When a bus cannot be opened.
     """
-    from runtime.link_watchdog import watched
     from runtime.metrics import noted
     from runtime.zenoh_bus import open_bus
 
-    with (
-        stop_on_signals() as stopping,
-        open_bus(ends["field"]) as field,
-        open_bus(ends["management"]) as management,
-        watched(stopping, log, field, management, listens=field),
-        noted(metrics, management) as management_or_noted,
-    ):
-        yield stopping, field, management_or_noted
+    with ExitStack() as stack:
+        first, second = (stack.enter_context(open_bus(end)) for end in ends.values())
+        field = first if "field" in ends else None
+        stack.enter_context(watched(stopping, log, first, second, listens=field, silent_s=silent_s))
+        yield first, stack.enter_context(noted(metrics, second))

@@ -50,7 +50,7 @@ WRONG: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     (("up", "--seed", "-1"), "--seed: got -1, expected at least 0"),
     (("up", "--run-dir", ""), "--run-dir: got '', expected a folder"),
     (("up", "--run-dir", "RUN"), "--run-dir: RUN: has a run already, expected a new folder"),
-    (("up", "--run-dir", "/proc/x"), "--run-dir: /proc/x: cannot be made"),
+    (("up", "--run-dir", "/proc/x"), "--run-dir: /proc/x: cannot be written"),
     (("up", "--eavesdropper", "eve"), "eavesdropper: got 'eve', expected set-membership"),
     (("up", "--pace", "x0"), "--pace: got 'x0', expected realtime, fast, or xN"),
     (("up", "--message", ""), "message: got 0 bytes, expected 1 to 65535"),

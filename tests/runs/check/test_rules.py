@@ -24,24 +24,11 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tests.support.checked_runs import failed
-from tests.support.ended_run import ended_run
-from tests.support.lines import unmark
+from tests.support.lines import unmarked
 from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines
 from wyner.runs.check import RULES
 
 Line = dict[str, Any]
-
-
-def unmarked(folder: Path) -> Path:
-    """As if all processes had been killed: no end mark counts the lines."""
-    for name in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE):
-        unmark(folder / name)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return unmarked(ended_run(tmp_path_factory.mktemp("runs") / "plain", (b"",)).folder)
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +172,7 @@ def test_every_rule_has_one() -> None:
 def test_a_change_that_one_rule_alone_names(
     request: pytest.FixtureRequest, tmp_path: Path, change: Callable[[Path], None]
 ) -> None:
-    run: Path = request.getfixturevalue("keyed" if change in OF_KEYED else "plain")
+    run: Path = request.getfixturevalue("keyed" if change in OF_KEYED else "killed")
     folder = Path(shutil.copytree(run, tmp_path / "run"))
     assert failed(folder) == set()
     change(folder)
