@@ -17,6 +17,8 @@ from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
 from runtime.shipped import SCENARIOS
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, Belief
 from tests.support import traced
+from wyner.drawing.secrecy import draw_report
+from wyner.drawing.style import svg_of
 from wyner.runs.run import Run
 from wyner.runs.score import words
 from wyner.runs.score.report import Report, TapReport, percent, report
@@ -227,6 +229,14 @@ def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> N
     assert "tap leaves at most 10.0 of them, no better than chance" in blind.verdict()
     nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
     assert "No key was agreed by the paper's rule" in report([nothing]).verdict()
+
+
+def test_a_report_in_which_nothing_counts_and_nobody_is_scored_is_drawn() -> None:
+    """The page of a sealed run came with a warning that there was no room for its figure."""
+    t = Truth(2, {}, {}, (), 50)
+    taps = (score(t, replace(said(0, name=f"tap {i}"), live={})) for i in range(5))
+    r = one_run(t, *taps)
+    assert b"<svg" in svg_of((7.6, 2.0), lambda axes: draw_report(axes, r))
 
 
 def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:
