@@ -61,8 +61,9 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 
 @dataclass(slots=True)
 class _Hosted:
-    """One end that the host runs, under the id of its loop."""
+    """One end that the host runs, and the id of its loop."""
 
+    name: str
     endpoint: Endpoint
     field_bus: Bus
     ports: LoopPorts = field(init=False)
@@ -140,7 +141,7 @@ class Host:
         self._stopping = stopping
         self.fleet = fleet
         self._loops: dict[str, _Hosted] = {}
-        self._by_key: dict[str, tuple[str, type[Message]]] = {}
+        self._by_key: dict[str, tuple[_Hosted, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[Callable[[], None]] = Inbox()
         """What the main thread does next, under the lock."""
@@ -180,7 +181,7 @@ class Host:
         on_failure : callable, optional
             Takes the error that this end has failed with, once its files are closed.
         """
-        hosted = _Hosted(endpoint, field_bus or self.field, on_failure=on_failure)
+        hosted = _Hosted(loop, endpoint, field_bus or self.field, on_failure=on_failure)
         with self.turns:
             publishers: dict[type[Message], Publisher] = {}
             for kind in endpoint.sends:
@@ -188,12 +189,12 @@ class Host:
                 publishers[kind] = bus.publisher(key_of(kind, loop), many=self.fleet)
                 if endpoint.makes_keys and kind in FIELD:
                     publishers[kind] = Sparing(publishers[kind], partial(self._crowding, hosted))
-            extract = self._extracting(loop) if endpoint.makes_keys else None
-            told = partial(self._health.put, loop, HealthFiles(files.health, log))
+            extract = self._extracting(hosted) if endpoint.makes_keys else None
+            told = partial(self._health.put, HealthFiles(files.health, log))
             hosted.ports = LoopPorts(files, publishers, log, told, extract)
             self._loops[loop] = hosted
             for kind in endpoint.receives:
-                self._by_key[key_of(kind, loop)] = (loop, kind)
+                self._by_key[key_of(kind, loop)] = (hosted, kind)
         for kind in endpoint.receives:
             self.subscribe(kind, every_loop(kind) if self.fleet else key_of(kind, loop))
 
@@ -214,7 +215,7 @@ class Host:
 
         self._management.subscribe(key_expr, deliver)
 
-    def _extracting(self, loop: str) -> Callable[[ClosedBlock], None]:
+    def _extracting(self, loop: _Hosted) -> Callable[[ClosedBlock], None]:
         """What has the key blocks of a loop extracted."""
         if self._extraction is None:
             from runtime.extraction import Extraction  # what others need not load
@@ -249,9 +250,9 @@ class Host:
         return self._code
 
     def _go_on(self) -> None:
-        for loop in self.loops:
+        for loop in list(self._loops.values()):
             with self.turns:
-                self._do(loop, self._loops[loop].endpoint.start)
+                self._do(loop, loop.endpoint.start)
         for thread in self._threads:
             thread.start()
         while (self.fleet or self._loops) and not self._stopping.is_set():
@@ -298,9 +299,9 @@ class Host:
                     continue
                 loop.wakes_at = inf
                 if loop.endpoint.wake_at() <= now:
-                    self._do(name, loop.endpoint.wake)
+                    self._do(loop, loop.endpoint.wake)
                 else:
-                    self._schedule(name, loop)
+                    self._schedule(loop)
             until = self._wakes[0][0] if self._wakes else inf
             self._sleeps_until = min(until, now + POLL_S)
 
@@ -335,21 +336,19 @@ class Host:
         return self.field.appearances() > loop.appearances
 
     def _hear(self, key: str, payload: bytes) -> None:
-        name, kind = self._by_key.get(key, ("", Message))
-        loop = self._loops.get(name)
-        if loop is not None:
-            if kind in FIELD:
-                loop.field_bus.taken(key, payload)
-            self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
+        if key not in self._by_key:
+            return
+        loop, kind = self._by_key[key]
+        if kind in FIELD:
+            loop.field_bus.taken(key, payload)
+        self._do(loop, lambda now: loop.endpoint.receive(kind, payload, now))
 
-    def _extracted(self, name: str, block: ExtractedBlock | ExtractionFailed) -> None:
+    def _extracted(self, loop: _Hosted, block: ExtractedBlock | ExtractionFailed) -> None:
         """A key block of a loop is extracted, or none can be any more."""
-        loop = self._loops.get(name)
-        if loop is not None:
-            self._do(name, lambda _now: loop.endpoint.extracted(block))
+        if loop.name in self._loops:
+            self._do(loop, lambda _now: loop.endpoint.extracted(block))
 
-    def _do(self, name: str, act: Callable[[float], Effects]) -> None:
-        loop = self._loops[name]
+    def _do(self, loop: _Hosted, act: Callable[[float], Effects]) -> None:
         try:
             if loop.started:  # a device may take its time to be found
                 if loop.endpoint.makes_keys:
@@ -361,34 +360,33 @@ class Host:
             loop.failed = error
             if not self.fleet:
                 raise
-            loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
-            self._end(name)
+            loop.ports.log.error("loop %s is over: %s: %s", loop.name, type(error).__name__, error)
+            self._end(loop)
             return
         finally:
             self._turn.over()
         code = loop.endpoint.code
         if code is not None:
             self._code = max(self._code, code)
-            self._end(name)
+            self._end(loop)
             return
-        self._schedule(name, loop)
+        self._schedule(loop)
 
-    def _schedule(self, name: str, loop: _Hosted) -> None:
+    def _schedule(self, loop: _Hosted) -> None:
         due = loop.endpoint.wake_at()
         if due < loop.wakes_at:
             loop.wakes_at = due
-            heapq.heappush(self._wakes, (due, name))
+            heapq.heappush(self._wakes, (due, loop.name))
             if due < self._sleeps_until:
                 self._sleeps_until = due
                 self._inbox.put(_look_up, None)
 
-    def _end(self, name: str) -> None:
+    def _end(self, loop: _Hosted) -> None:
         """Stop an end and close its files."""
-        loop = self._loops.pop(name, None)
-        if loop is None:
+        if self._loops.pop(loop.name, None) is None:
             return
         for kind in loop.endpoint.receives:
-            self._by_key.pop(key_of(kind, name), None)
+            self._by_key.pop(key_of(kind, loop.name), None)
         try:
             with self._lost(loop, OSError, Failure):
                 last = loop.endpoint.stop(time.monotonic())
@@ -400,8 +398,8 @@ class Host:
                 loop.ports.close()
             if loop.failed is not None and loop.on_failure is not None:
                 loop.on_failure(loop.failed)
-            self.field.left(name)
-            self._management.left(name)
+            self.field.left(loop.name)
+            self._management.left(loop.name)
         if not self._loops:
             self._inbox.put(_look_up, None)
 
@@ -430,8 +428,8 @@ class Host:
 
     def _end_all(self) -> None:
         with self.turns.last(), ExitStack() as ends:
-            for name in reversed(self.loops):
-                ends.callback(self._end, name)
+            for loop in reversed(self._loops.values()):
+                ends.callback(self._end, loop)
 
 
 def _look_up() -> None:

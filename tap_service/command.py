@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from runtime.bus_options import ServiceOptions, add_service_arguments, endpoints_of
 from runtime.errors import UsageError
-from runtime.fleet import FleetLoop, fleet_of
+from runtime.fleet import FleetLoop, loops_of
 from runtime.locks import alone_in
 from runtime.options import fine, option, picked, run_dir_of
 
@@ -160,7 +160,7 @@ def run_with_knowledge(
 
     own_view = None if options.view is None else read_json("--view", options.view, View)
     ends = endpoints_of(options, "tap")
-    fleet, many = fleet_of(options), options.fleet is not None
+    loops, many = loops_of(options), options.fleet is not None
 
     def config_of(loop: FleetLoop) -> TapConfig:
         told = knowledge_of(loop)
@@ -189,15 +189,15 @@ def run_with_knowledge(
         return config
 
     try:
-        for loop in fleet.loops.values():
+        for loop in loops:
             config = config_of(loop)
             if not options.check:
                 break
         if options.check and many:
-            return fine(f"{len(fleet.loops)} loops")
+            return fine(f"{len(loops)} loops")
         if options.check:
             return fine(f"eavesdroppers {', '.join(config.names)}")
-        make = partial(TapFleet, fleet, config_of) if many else partial(TapService, config)
+        make = partial(TapFleet, loops, config_of) if many else partial(TapService, config)
         with alone_in(run_dir_of(options.run_dir) / "tap"):
             return run_tap(make, ends, options.metrics)
     except KnowledgeError as error:
