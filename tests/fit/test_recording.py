@@ -152,15 +152,6 @@ def test_what_is_no_recording_is_one_line(
     assert not out.exists()
 
 
-def test_a_recording_without_its_columns_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It said that the CSV file was no TOML."""
-    path = written(tmp_path / "cart.csv", *recorded(1, steps=20))
-    assert main(["fit", str(path), "-o", str(tmp_path / "x.toml")]) == 2
-    assert "a recording wants --states a,b and --inputs u" in capsys.readouterr().err
-
-
 def test_a_loop_that_nothing_excites_cannot_tell_a_from_b(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
