@@ -4,7 +4,7 @@ import sys
 from dataclasses import dataclass
 
 from protocol.topics import DEFAULT_LOOP
-from runtime.bus_options import loop_of
+from runtime.bus_options import buses_of, loop_of
 from runtime.command import Parser, carry_out, entered
 from runtime.errors import DONE, UsageError
 from runtime.options import add_arguments, option, picked
@@ -36,11 +36,10 @@ def run() -> int:
     """
     from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
-    from runtime.link_watchdog import watched
+    from runtime.addresses import Addresses
     from runtime.logs import logger
     from runtime.scenario_file import attack_option, scenario_of
     from runtime.signals import stop_on_signals
-    from runtime.zenoh_bus import ZenohBus
 
     parser = Parser(prog="python -m attacker_service", description="an attack on the field bus")
     add_arguments(parser, AttackerOptions)
@@ -52,11 +51,13 @@ def run() -> int:
     attacker = Attacker(scenario, attack, told.seed)
     if attacker.at != "bus":
         raise UsageError(f"attack.at: {attack.kind} is at the {attacker.at}: the plant hosts it")
+    ends = {
+        "plant": Addresses(listen=(told.plant_side,)),
+        "controller": Addresses(listen=(told.controller_side,)),
+    }
     with (
         stop_on_signals() as stopping,
-        ZenohBus(listen=[told.plant_side]) as plant,
-        ZenohBus(listen=[told.controller_side]) as controller,
-        watched(stopping, logger("attacker"), plant, controller),
+        buses_of(ends, stopping, logger("attacker")) as (plant, controller),
     ):
         Relay(attacker, plant, controller, loop).run(stopping)
     return DONE

@@ -8,13 +8,11 @@ from controller_service.core import ControllerCore
 from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.channel import channel_of
-from protocol.link.pacing import STATUS_S
 from protocol.link.session import rules_of
 from protocol.streams import CIPHER
 from runtime.chance import new_id, symbols
 from runtime.end_service import EndConfig
 from runtime.errors import UsageError
-from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.host import Host
 from runtime.journal import ControllerJournal, JournalError
 from runtime.ports import Files
@@ -41,16 +39,8 @@ class ControllerConfig(EndConfig):
     clear_alarm: bool = False
 
 
-def open_controller(
-    config: ControllerConfig, *, status_s: float = STATUS_S
-) -> tuple[ControllerCore, Files]:
+def open_controller(config: ControllerConfig) -> tuple[ControllerCore, Files]:
     """The controller's end of one loop as its journal has it, and its files.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-    status_s : float
-        Seconds between statuses.
 
     Raises
     ------
@@ -83,7 +73,7 @@ def open_controller(
             loaded=loaded,
             predict=predict,
             message=config.message,
-            news=ControllerTelemetry(config.law, status_s),
+            news=ControllerTelemetry(config.law, config.status_s),
             channel=channel_of(
                 scenario, "to_controller", scale=config.pace.scale, seed=config.seed
             ),
@@ -100,7 +90,7 @@ def add_controller(host: Host, config: ControllerConfig, log: logging.Logger) ->
     UsageError
         When the journal cannot be used.
     """
-    core, files = open_controller(config, status_s=FLEET_STATUS_S if host.fleet else STATUS_S)
+    core, files = open_controller(config)
     host.add(config.loop, core, files, log)
     log.info(
         "session %s, model %s, %d messages queued, %d delivered",

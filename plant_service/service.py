@@ -13,7 +13,7 @@ from plant_service.opening import open_core
 from plant_service.plant import FilteredPlant
 from plant_service.status import PlantTelemetry
 from protocol.link.channel import channel_of
-from protocol.link.pacing import STATUS_S, Pacing
+from protocol.link.pacing import Pacing
 from protocol.scenario import AttackTable
 from protocol.streams import COIN, SENSOR, Stream
 from runtime.chance import new_id, noise, symbols
@@ -21,7 +21,6 @@ from runtime.end_service import EndConfig
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically
 from runtime.fleet import SLOTS
-from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.host import Host
 from runtime.journal import JournalError, PlantJournal
 from runtime.ports import Files
@@ -48,7 +47,7 @@ class PlantConfig(EndConfig):
 
 
 def open_plant(
-    config: PlantConfig, now: float, *, phase: float | None = None, status_s: float = STATUS_S
+    config: PlantConfig, now: float, *, phase: float | None = None
 ) -> tuple[PlantCore, Files]:
     """The plant's end of one loop as its journal has it, and its files.
 
@@ -59,8 +58,6 @@ def open_plant(
         Monotonic seconds.
     phase : float, optional
         :class:`protocol.link.pacing.Pacing`'s.
-    status_s : float
-        Seconds between statuses.
 
     Raises
     ------
@@ -72,7 +69,9 @@ def open_plant(
         try:
             journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
             undone.callback(journal.close)
-            news = PlantTelemetry.of(scenario, config.pace.text, seeded=seeded, status_s=status_s)
+            news = PlantTelemetry.of(
+                scenario, config.pace.text, seeded=seeded, status_s=config.status_s
+            )
             if (last := journal.last_message()) is not None:
                 news.last_message = last
             step_s = config.pace.step_s(scenario.plant.period_s)
@@ -130,8 +129,7 @@ def add_plant(host: Host, config: PlantConfig, log: logging.Logger) -> PlantCore
             f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
         )
     phase = len(host.loops) % SLOTS / SLOTS if host.fleet else None
-    status_s = FLEET_STATUS_S if host.fleet else STATUS_S
-    core, files = open_plant(config, time.monotonic(), phase=phase, status_s=status_s)
+    core, files = open_plant(config, time.monotonic(), phase=phase)
     plant = core.stepper.plant
     heard = plant.overheard(host.field, config.loop) if isinstance(plant, FilteredPlant) else None
     try:

@@ -4,24 +4,28 @@ import argparse
 import logging
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.errors import UsageError
+from runtime.link_watchdog import SILENT_S, watched
 from runtime.options import add_arguments, option
 from runtime.services import SERVICES, Ends
-from runtime.signals import stop_on_signals
 
 if TYPE_CHECKING:
     from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from runtime.recording import Bounds
 
 
 ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that bus's default"
+
+
+def _of_buses(help: str, metavar: str) -> Any:
+    """An option that says something of one bus, and may be repeated."""
+    return option(help, metavar, (), many=True, group=ENDPOINTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,26 +33,14 @@ class BusOptions:
     """Where a program that joins a running loop finds its buses."""
 
     loop: str = option("id of the control loop", "ID", DEFAULT_LOOP, group=ENDPOINTS)
-    connect: Sequence[str] = option(
-        "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        "BUS=ENDPOINT",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    connect: Sequence[str] = _of_buses(
+        "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)", "BUS=ENDPOINT"
     )
-    client: Sequence[str] = option(
-        "open this bus as a client of the router it connects to",
-        "BUS",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    client: Sequence[str] = _of_buses(
+        "open this bus as a client of the router it connects to", "BUS"
     )
-    tls: Sequence[str] = option(
-        "mutual TLS with ca.pem, cert.pem and key.pem of this folder",
-        "BUS=FOLDER",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    tls: Sequence[str] = _of_buses(
+        "mutual TLS with ca.pem, cert.pem and key.pem of this folder", "BUS=FOLDER"
     )
 
 
@@ -56,12 +48,8 @@ class BusOptions:
 class ServiceOptions(BusOptions):
     """Options that each of the three services has."""
 
-    listen: Sequence[str] = option(
-        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        "BUS=ENDPOINT",
-        (),
-        many=True,
-        group=ENDPOINTS,
+    listen: Sequence[str] = _of_buses(
+        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)", "BUS=ENDPOINT"
     )
 
     scenario: str | None = option("file or shipped name", "S")
@@ -74,18 +62,12 @@ class ServiceOptions(BusOptions):
         "run many loops: those of FILE, or N of --scenario (docs/deployment.md)", "FILE|N"
     )
     metrics: str | None = option("serve Prometheus metrics there (docs/deployment.md)", "HOST:PORT")
-    total_bytes: int | None = option(
+    total_bytes: int = option(
         "largest size of the recording; its oldest parts are deleted (default: 1 GiB)",
         "N",
+        2**30,
         least=2048,
     )
-
-    @property
-    def bounds(self) -> "Bounds":
-        """Of the recording."""
-        from runtime.recording import Bounds
-
-        return Bounds() if self.total_bytes is None else Bounds(total_bytes=self.total_bytes)
 
 
 def add_service_arguments(
@@ -167,9 +149,13 @@ def endpoints_of(options: BusOptions, service: str) -> "dict[str, Addresses]":
 
 @contextmanager
 def buses_of(
-    ends: "Mapping[str, Addresses]", metrics: str | None, log: logging.Logger
-) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
-    """The event that signals set, and the open buses field and management of a service.
+    ends: "Mapping[str, Addresses]",
+    stopping: threading.Event,
+    log: logging.Logger,
+    metrics: str | None = None,
+    silent_s: float = SILENT_S,
+) -> "Iterator[tuple[Bus, Bus]]":
+    """The two buses of a service, open; what it says of itself is published on the second.
 
     They are opened again where a freeze or a silence has left them dead.
 
@@ -177,24 +163,24 @@ def buses_of(
     ----------
     ends : mapping
         Of each bus, from :func:`endpoints_of`.
+    stopping : threading.Event
+        Set where one cannot be opened again.
+    log : logging.Logger
     metrics : str, optional
         Where Prometheus is answered.
-    log : logging.Logger
+    silent_s : float
+        Seconds without a message on the field bus after which both are opened again.
 
     Raises
     ------
     UsageError
         When a bus cannot be opened.
     """
-    from runtime.link_watchdog import watched
     from runtime.metrics import noted
     from runtime.zenoh_bus import open_bus
 
-    with (
-        stop_on_signals() as stopping,
-        open_bus(ends["field"]) as field,
-        open_bus(ends["management"]) as management,
-        watched(stopping, log, field, management, listens=field),
-        noted(metrics, management) as management_or_noted,
-    ):
-        yield stopping, field, management_or_noted
+    with ExitStack() as stack:
+        first, second = (stack.enter_context(open_bus(end)) for end in ends.values())
+        field = first if "field" in ends else None
+        stack.enter_context(watched(stopping, log, first, second, listens=field, silent_s=silent_s))
+        yield first, stack.enter_context(noted(metrics, second))

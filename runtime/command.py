@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Final
 
 from protocol.errors import WynerError
@@ -41,13 +41,11 @@ def carry_out(command: Callable[[], int]) -> int:
         code = command()
         sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
         return code
-    except UsageError as error:
-        return _wrong(error.lines)
-    except (Failure, WynerError) as error:
-        if wrong_fields := getattr(error, "problems", ()):  # of a scenario
-            return _wrong(wrong_fields)
-        print(f"wyner: {printable(str(error))}", file=sys.stderr)
-        return FAILED
+    except (UsageError, Failure, WynerError) as error:
+        problems = getattr(error, "problems", ())  # of a scenario, too
+        for line in problems or [str(error)]:
+            print(f"wyner: {printable(line)}", file=sys.stderr)
+        return USAGE if problems else FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
@@ -60,12 +58,6 @@ def carry_out(command: Callable[[], int]) -> int:
         print(f"wyner: {printable(_in_a_line(error))}", file=sys.stderr)
         named = isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP)
         return USAGE if named else FAILED
-
-
-def _wrong(lines: Iterable[str]) -> int:
-    for line in lines:
-        print(f"wyner: {printable(line)}", file=sys.stderr)
-    return USAGE
 
 
 def entered(command: Callable[[], int]) -> int:

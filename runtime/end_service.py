@@ -1,23 +1,26 @@
 """One end of one loop as a service, or that of each loop of a fleet: hosts, and their options."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from protocol.scenario import Scenario
+from protocol.errors import WynerError
+from protocol.link.pacing import STATUS_S
+from protocol.scenario import Scenario, ScenarioError
 from runtime.bus_options import ServiceOptions, buses_of, endpoints_of
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
-from runtime.fleet import Fleet, FleetLoop, fleet_of
+from runtime.fleet import FLEET_STATUS_S, FleetLoop, loops_of
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
 from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.scenario_file import keep_scenario, scenario_of
 from runtime.shipped import scenario_file_of
+from runtime.signals import stop_on_signals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +39,8 @@ class EndConfig:
     """What either end is started with.
 
     ``pace`` is the plant's; ``seed`` is for experiments only; ``folder`` is where the files that
-    the scenario names are looked for; ``bounds`` are the trace's.
+    the scenario names are looked for; ``bounds`` are the trace's; ``status_s`` are the seconds
+    between statuses.
     """
 
     scenario: Scenario
@@ -47,6 +51,7 @@ class EndConfig:
     seed: int | None = None
     folder: Path = Path()
     bounds: Bounds = field(default_factory=Bounds)
+    status_s: float = STATUS_S
 
 
 C = TypeVar("C", bound=EndConfig)
@@ -92,7 +97,7 @@ def run_end(
     """
     ends = endpoints_of(options, log.name)
     pace, scenarios = pace_of(options.pace), cache(scenario_of)
-    fleet, many = fleet_of(options, message), options.fleet is not None
+    loops, many = loops_of(options, message), options.fleet is not None
 
     def configured(loop: FleetLoop, run_dir: Path) -> C:
         common = {
@@ -102,21 +107,25 @@ def run_end(
             "pace": pace,
             "seed": loop.seed,
             "folder": folder_of("--folder", options.folder, scenario_file_of(loop.scenario).parent),
-            "bounds": options.bounds,
+            "bounds": Bounds(total_bytes=options.total_bytes),
+            "status_s": FLEET_STATUS_S if many else STATUS_S,
         }
         return configure(common, loop)
 
-    check_loops(fleet, configured)
+    check_loops(loops, configured, many=many)
     if options.check and many:
-        return fine(f"{len(fleet.loops)} loops")
+        return fine(f"{len(loops)} loops")
     if options.check:
         return fine(f"scenario {scenarios(options.scenario).name}")
     run_dir = run_dir_of(options.run_dir)
     if options.seed is not None and not many:
         log.warning("seed %d: symbols are predictable, for experiments only", options.seed)
-    with buses_of(ends, options.metrics, log) as (stopping, field_bus, management):
+    with (
+        stop_on_signals() as stopping,
+        buses_of(ends, stopping, log, options.metrics) as (field_bus, management),
+    ):
         host = Host(field_bus, management, stopping, fleet=many)
-        for loop in fleet.loops.values():
+        for loop in loops:
             folder = run_dir / loop.id if many else run_dir
             try:
                 keep_scenario(folder, loop.scenario)
@@ -127,34 +136,35 @@ def run_end(
                 log.error("loop %s: %s", loop.id, _in_a_line(error))
         freeze_startup()
         if many:
-            log.info("%d of %d loops run", len(host.loops), len(fleet.loops))
+            log.info("%d of %d loops run", len(host.loops), len(loops))
         return host.run()
 
 
 def _in_a_line(error: Exception) -> str:
-    if isinstance(error, UsageError | Failure | OSError):
+    if isinstance(error, UsageError | Failure | WynerError | OSError):
         return str(error).replace("\n", "; ")
     return f"unexpected {type(error).__name__}: {error}"
 
 
-def check_loops(fleet: Fleet, configured: Callable[[FleetLoop, Path], EndConfig]) -> None:
+def check_loops(
+    loops: Sequence[FleetLoop], configured: Callable[[FleetLoop, Path], EndConfig], *, many: bool
+) -> None:
     """Look at the scenario of every loop, and at what is told with it; start nothing.
 
     Raises
     ------
     UsageError
-        With the lines of each scenario that is wrong; where loops stand in a file, after the first
-        one that has it.
+        With the lines of each scenario that is wrong, of a fleet's after its first loop's id.
     """
     first: dict[str, FleetLoop] = {}
-    for loop in fleet.loops.values():
+    for loop in loops:
         first.setdefault(loop.scenario, loop)
     problems: list[str] = []
     for loop in first.values():
         try:
             configured(loop, Path())
-        except UsageError as error:
-            where = "" if fleet.path is None else f"{loop.id}: "
-            problems += [f"{where}{line}" for line in error.lines]
+        except (UsageError, ScenarioError) as error:
+            where = f"{loop.id}: " if many else ""
+            problems += [f"{where}{line}" for line in error.problems]
     if problems:
         raise UsageError(problems)

@@ -16,11 +16,11 @@ INTERRUPTED: Final = 130
 
 
 class UsageError(Exception):
-    """Bad usage or configuration, exit code 2; ``lines`` has one line for each wrong field."""
+    """Bad usage or configuration, exit code 2; ``problems`` has one line for each wrong field."""
 
-    def __init__(self, lines: Sequence[str] | str) -> None:
-        self.lines = (lines,) if isinstance(lines, str) else tuple(lines)
-        super().__init__("\n".join(self.lines))
+    def __init__(self, problems: Sequence[str] | str) -> None:
+        self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))
 
 
 class Failure(Exception):

@@ -9,7 +9,7 @@
 Each loop has a folder of its own below the run's, by its id.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -34,8 +34,8 @@ SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and
 all at once would wait for one another."""
 
-STATUS_S = 1.0
-"""Seconds between statuses of each loop."""
+FLEET_STATUS_S = 1.0
+"""Seconds between statuses of each loop of a fleet."""
 
 LARGEST_FLEET = 10_000
 
@@ -74,15 +74,7 @@ class _FleetFile(BaseModel):
         return loops
 
 
-@dataclass(frozen=True, slots=True)
-class Fleet:
-    """The loops that a host runs, by id; ``path`` is the file that lists them, if one does."""
-
-    loops: dict[str, FleetLoop]
-    path: Path | None = None
-
-
-def fleet_of(options: ServiceOptions, message: bytes | None = None) -> Fleet:
+def loops_of(options: ServiceOptions, message: bytes | None = None) -> Sequence[FleetLoop]:
     """The loops that the options name: those of a file, so many numbered ones, or a single one.
 
     Those that stand in no file have one scenario and one ``message``; numbered ones are
@@ -103,20 +95,19 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> Fleet:
         if not 1 <= count <= LARGEST_FLEET:
             raise UsageError(f"--fleet: got {count}, expected 1 to {LARGEST_FLEET}")
         names = [f"loop-{number:04d}" for number in range(count)]
-    loops = {
-        name: FleetLoop(
+    return [
+        FleetLoop(
             id=name,
             scenario=options.scenario or "",
             message=message or b"",
             seed=None if seed is None else seed + number,
         )
         for number, name in enumerate(names)
-    }
-    return Fleet(loops)
+    ]
 
 
-def read_fleet(path: Path) -> Fleet:
-    """The fleet of a file.
+def read_fleet(path: Path) -> Sequence[FleetLoop]:
+    """The loops of a file.
 
     Raises
     ------
@@ -125,7 +116,6 @@ def read_fleet(path: Path) -> Fleet:
     """
     tables = read_toml(path)
     try:
-        loops = _FleetFile.model_validate(tables).loop
+        return _FleetFile.model_validate(tables).loop
     except ValidationError as error:
         raise UsageError([f"{path}: {line}" for line in wrong_fields(error)]) from None
-    return Fleet({loop.id: loop for loop in loops}, path)

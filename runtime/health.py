@@ -183,21 +183,21 @@ class HealthWriter:
     """Writes the statuses of any number of loops, of each the newest."""
 
     def __init__(self) -> None:
-        self._newest: dict[str, tuple[HealthFiles, Status, float]] = {}
-        self._order: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._newest: dict[HealthFiles, tuple[Status, float]] = {}
+        self._order: queue.SimpleQueue[HealthFiles | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
 
-    def put(self, loop: str, files: HealthFiles, status: Status) -> None:
+    def put(self, files: HealthFiles, status: Status) -> None:
         """Have a status written; returns at once. It takes the place of one that still waits."""
         with self._lock:
             if self._thread is None:
                 thread = threading.Thread(target=self._run, name="health", daemon=True)
                 thread.start()
                 self._thread = thread  # started: close() joins no other
-            if loop not in self._newest:
-                self._order.put(loop)
-            self._newest[loop] = files, status, time.monotonic()
+            if files not in self._newest:
+                self._order.put(files)
+            self._newest[files] = status, time.monotonic()
 
     def close(self, within_s: float) -> None:
         """Write what waits, for so many seconds at most, and end."""
@@ -206,9 +206,9 @@ class HealthWriter:
             self._thread.join(within_s)
 
     def _run(self) -> None:
-        while (loop := self._order.get()) is not None:
+        while (files := self._order.get()) is not None:
             with self._lock:
-                files, status, at_s = self._newest.pop(loop)
+                status, at_s = self._newest.pop(files)
             try:
                 files.write(status, at_s)
             except Exception as error:  # whatever it is, the other loops' are written

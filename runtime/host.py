@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -60,16 +60,18 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 
 
 @dataclass(slots=True)
-class _Loop:
+class _Hosted:
+    """One end that the host runs, and the id of its loop."""
+
+    name: str
     endpoint: Endpoint
-    ports: LoopPorts
-    field: Bus
+    field_bus: Bus
+    ports: LoopPorts = field(init=False)
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
     failed: Exception | None = None  # what it has done last may be carried out in part
     on_failure: Callable[[Exception], None] | None = None
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
-    look: bool = False  # whether its links are to be counted before it acts
 
 
 class Sparing:
@@ -138,8 +140,8 @@ class Host:
         self.field, self._management = field_bus, management
         self._stopping = stopping
         self.fleet = fleet
-        self._loops: dict[str, _Loop] = {}
-        self._by_key: dict[str, tuple[str, type[Message]]] = {}
+        self._loops: dict[str, _Hosted] = {}
+        self._by_key: dict[str, tuple[_Hosted, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[Callable[[], None]] = Inbox()
         """What the main thread does next, under the lock."""
@@ -166,7 +168,7 @@ class Host:
         endpoint: Endpoint,
         files: Files,
         log: logging.Logger,
-        field: Bus | None = None,
+        field_bus: Bus | None = None,
         on_failure: Callable[[Exception], None] | None = None,
     ) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over.
@@ -174,26 +176,25 @@ class Host:
         Parameters
         ----------
         loop, endpoint, files, log
-        field : Bus, optional
+        field_bus : Bus, optional
             The field bus as this end has it, with somebody who listens.
         on_failure : callable, optional
             Takes the error that this end has failed with, once its files are closed.
         """
-        field = self.field if field is None else field
+        hosted = _Hosted(loop, endpoint, field_bus or self.field, on_failure=on_failure)
         with self.turns:
             publishers: dict[type[Message], Publisher] = {}
             for kind in endpoint.sends:
-                bus = field if kind in FIELD else self._management
+                bus = hosted.field_bus if kind in FIELD else self._management
                 publishers[kind] = bus.publisher(key_of(kind, loop), many=self.fleet)
                 if endpoint.makes_keys and kind in FIELD:
-                    publishers[kind] = Sparing(publishers[kind], partial(self._crowding, loop))
-            extract = self._extracting(loop) if endpoint.makes_keys else None
-            told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            ports = LoopPorts(files, publishers, log, told, extract)
-            one = _Loop(endpoint, ports, field, look=endpoint.makes_keys, on_failure=on_failure)
-            self._loops[loop] = one
+                    publishers[kind] = Sparing(publishers[kind], partial(self._crowding, hosted))
+            extract = self._extracting(hosted) if endpoint.makes_keys else None
+            told = partial(self._health.put, HealthFiles(files.health, log))
+            hosted.ports = LoopPorts(files, publishers, log, told, extract)
+            self._loops[loop] = hosted
             for kind in endpoint.receives:
-                self._by_key[key_of(kind, loop)] = (loop, kind)
+                self._by_key[key_of(kind, loop)] = (hosted, kind)
         for kind in endpoint.receives:
             self.subscribe(kind, every_loop(kind) if self.fleet else key_of(kind, loop))
 
@@ -214,7 +215,7 @@ class Host:
 
         self._management.subscribe(key_expr, deliver)
 
-    def _extracting(self, loop: str) -> Callable[[ClosedBlock], None]:
+    def _extracting(self, loop: _Hosted) -> Callable[[ClosedBlock], None]:
         """What has the key blocks of a loop extracted."""
         if self._extraction is None:
             from runtime.extraction import Extraction  # what others need not load
@@ -249,9 +250,9 @@ class Host:
         return self._code
 
     def _go_on(self) -> None:
-        for loop in self.loops:
+        for loop in list(self._loops.values()):
             with self.turns:
-                self._do(loop, self._loops[loop].endpoint.start)
+                self._do(loop, loop.endpoint.start)
         for thread in self._threads:
             thread.start()
         while (self.fleet or self._loops) and not self._stopping.is_set():
@@ -298,10 +299,9 @@ class Host:
                     continue
                 loop.wakes_at = inf
                 if loop.endpoint.wake_at() <= now:
-                    loop.look = loop.endpoint.makes_keys
-                    self._do(name, loop.endpoint.wake)
+                    self._do(loop, loop.endpoint.wake)
                 else:
-                    self._schedule(name, loop)
+                    self._schedule(loop)
             until = self._wakes[0][0] if self._wakes else inf
             self._sleeps_until = min(until, now + POLL_S)
 
@@ -321,45 +321,37 @@ class Host:
 
     # --- under the lock ---------------------------------------------------------------------------
 
-    def _look_at_links(self, loop: _Loop) -> None:
+    def _look_at_links(self, loop: _Hosted) -> None:
         """Tell an end how often its messages leave, where that has changed."""
-        loop.look = False
         count = self.field.appearances()
         if count != loop.appearances:
             loop.appearances = count
             perform(loop.endpoint.appear(count), loop.ports.do)
 
-    def _crowding(self, name: str) -> bool:
-        """Whether messages leave more often than the loop knew when it made its last one.
+    def _crowding(self, loop: _Hosted) -> bool:
+        """Whether messages leave more often than the end knew when it made its last one.
 
-        It is asked before each message leaves; the loop is told before it acts again.
+        It is asked before each message leaves; the end is told before it acts again.
         """
-        loop = self._loops.get(name)
-        if loop is None:
-            return False
-        count = self.field.appearances()
-        loop.look |= count != loop.appearances
-        return count > loop.appearances
+        return self.field.appearances() > loop.appearances
 
     def _hear(self, key: str, payload: bytes) -> None:
-        name, kind = self._by_key.get(key, ("", Message))
-        loop = self._loops.get(name)
-        if loop is not None:
-            if kind in FIELD:
-                loop.field.taken(key, payload)
-            self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
+        if key not in self._by_key:
+            return
+        loop, kind = self._by_key[key]
+        if kind in FIELD:
+            loop.field_bus.taken(key, payload)
+        self._do(loop, lambda now: loop.endpoint.receive(kind, payload, now))
 
-    def _extracted(self, name: str, block: ExtractedBlock | ExtractionFailed) -> None:
+    def _extracted(self, loop: _Hosted, block: ExtractedBlock | ExtractionFailed) -> None:
         """A key block of a loop is extracted, or none can be any more."""
-        loop = self._loops.get(name)
-        if loop is not None:
-            self._do(name, lambda _now: loop.endpoint.extracted(block))
+        if loop.name in self._loops:
+            self._do(loop, lambda _now: loop.endpoint.extracted(block))
 
-    def _do(self, name: str, act: Callable[[float], Effects]) -> None:
-        loop = self._loops[name]
+    def _do(self, loop: _Hosted, act: Callable[[float], Effects]) -> None:
         try:
             if loop.started:  # a device may take its time to be found
-                if loop.look:
+                if loop.endpoint.makes_keys:
                     self._look_at_links(loop)
                 self._turn.begin()
             perform(act(time.monotonic()), loop.ports.do)
@@ -368,34 +360,33 @@ class Host:
             loop.failed = error
             if not self.fleet:
                 raise
-            loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
-            self._end(name)
+            loop.ports.log.error("loop %s is over: %s: %s", loop.name, type(error).__name__, error)
+            self._end(loop)
             return
         finally:
             self._turn.over()
         code = loop.endpoint.code
         if code is not None:
             self._code = max(self._code, code)
-            self._end(name)
+            self._end(loop)
             return
-        self._schedule(name, loop)
+        self._schedule(loop)
 
-    def _schedule(self, name: str, loop: _Loop) -> None:
+    def _schedule(self, loop: _Hosted) -> None:
         due = loop.endpoint.wake_at()
         if due < loop.wakes_at:
             loop.wakes_at = due
-            heapq.heappush(self._wakes, (due, name))
+            heapq.heappush(self._wakes, (due, loop.name))
             if due < self._sleeps_until:
                 self._sleeps_until = due
                 self._inbox.put(_look_up, None)
 
-    def _end(self, name: str) -> None:
+    def _end(self, loop: _Hosted) -> None:
         """Stop an end and close its files."""
-        loop = self._loops.pop(name, None)
-        if loop is None:
+        if self._loops.pop(loop.name, None) is None:
             return
         for kind in loop.endpoint.receives:
-            self._by_key.pop(key_of(kind, name), None)
+            self._by_key.pop(key_of(kind, loop.name), None)
         try:
             with self._lost(loop, OSError, Failure):
                 last = loop.endpoint.stop(time.monotonic())
@@ -407,13 +398,13 @@ class Host:
                 loop.ports.close()
             if loop.failed is not None and loop.on_failure is not None:
                 loop.on_failure(loop.failed)
-            self.field.left(name)
-            self._management.left(name)
+            self.field.left(loop.name)
+            self._management.left(loop.name)
         if not self._loops:
             self._inbox.put(_look_up, None)
 
     @contextmanager
-    def _lost(self, loop: _Loop, *kinds: type[Exception]) -> Iterator[None]:
+    def _lost(self, loop: _Hosted, *kinds: type[Exception]) -> Iterator[None]:
         """Log an error of these kinds in an end's last moments; of a fleet's end any error."""
         try:
             yield
@@ -437,8 +428,8 @@ class Host:
 
     def _end_all(self) -> None:
         with self.turns.last(), ExitStack() as ends:
-            for name in reversed(self.loops):
-                ends.callback(self._end, name)
+            for loop in reversed(self._loops.values()):
+                ends.callback(self._end, loop)
 
 
 def _look_up() -> None:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from runtime.errors import UsageError
+from runtime.errors import UsageError, writing
 from runtime.files import make_folder, open_private, open_regular
-from runtime.options import unusable, unwritable
 
 
 @contextmanager
@@ -19,16 +18,12 @@ def alone_in(folder: Path) -> Iterator[None]:
     ------
     UsageError
         When it cannot be made or written to, or another process holds it.
+    Failure
+        When the disk is full or broken.
     """
-    try:
+    with writing(f"--run-dir: {folder}"):
         make_folder(folder)
-    except OSError as error:
-        raise unusable(folder, error) from None
-    lock = folder / "lock"
-    try:
-        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
-    except OSError as error:
-        raise unwritable(lock, error) from None
+        file = os.fdopen(open_private(folder / "lock", os.O_WRONLY | os.O_CREAT), "wb")
     with file:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

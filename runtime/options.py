@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast, get_args, get_type_hints
 
 from protocol.schemes.framing import MAX_PAYLOAD
-from runtime.errors import DONE, UsageError
+from runtime.errors import DONE, UsageError, writing
 from runtime.files import PRIVATE_FOLDER, make_folder, open_regular
 from runtime.pace import Pace
 
@@ -29,7 +29,6 @@ class Told:
 
     help: str
     metavar: str | None = None
-    choices: tuple[str, ...] | None = None
     least: int | None = None
     many: bool = False
     group: str = ""
@@ -82,7 +81,6 @@ def add_arguments(parser: argparse.ArgumentParser, kind: type, **words: str) -> 
             type=_number(hints[one.name]),
             required=one.default is MISSING,
             default=None if told.many or one.default is MISSING else one.default,
-            choices=told.choices,
             metavar=told.metavar,
             help=told.help,
         )
@@ -199,37 +197,32 @@ def folder_of(option: str, value: str | None, default: Path) -> Path:
 
 
 def run_dir_of(text: str | None) -> Path:
-    """The run's folder: the one given, or a new one below ``runs``, made."""
+    """The run's folder: the one given, or a new one below ``runs``, made.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be made.
+    Failure
+        When the disk is full or broken.
+    """
     if text is None:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
         for attempt in range(1000):
             path = Path("runs") / (stamp if attempt == 0 else f"{stamp}-{attempt}")
-            try:
+            with writing(f"--run-dir: {path}"):
                 make_folder(path.parent)
-                path.mkdir(mode=PRIVATE_FOLDER)
-            except FileExistsError:
-                continue
-            except OSError as error:
-                raise unusable(path, error) from None
-            return path
+                try:
+                    path.mkdir(mode=PRIVATE_FOLDER)
+                except FileExistsError:
+                    continue
+                return path
     if not text:
         raise UsageError("--run-dir: got '', expected a folder")
     path = Path(text)
-    try:
+    with writing(f"--run-dir: {path}"):
         make_folder(path)
-    except OSError as error:
-        raise unusable(path, error) from None
     return path
-
-
-def unusable(path: Path, error: OSError) -> UsageError:
-    """What is said of a run folder that cannot be made."""
-    return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
-
-
-def unwritable(path: Path, error: OSError) -> UsageError:
-    """What is said of a run folder that takes no file."""
-    return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
 
 
 def at_least(option: str, value: int | None, least: int) -> None:

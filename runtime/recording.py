@@ -163,7 +163,7 @@ def dumps(event: Mapping[str, Any]) -> bytes:
     return to_json(event, inf_nan_mode="strings")
 
 
-class Line(NamedTuple):
+class NumberedLine(NamedTuple):
     """A line of a file: its number from 1, its bytes without the newline, and what it holds.
 
     ``value`` is None where it holds no JSON object; ``raw`` is then its beginning.
@@ -247,7 +247,7 @@ def raw_lines(path: Path) -> Iterator[tuple[int, bytes, bool]]:
         yield number + 1, reader.rest, False
 
 
-def read_lines(path: Path) -> Iterator[Line]:
+def read_lines(path: Path) -> Iterator[NumberedLine]:
     """Every line of a file that is not empty; the last may be unfinished.
 
     Raises
@@ -256,7 +256,7 @@ def read_lines(path: Path) -> Iterator[Line]:
         When the file cannot be read.
     """
     for number, raw, _finished in raw_lines(path):
-        yield Line(number, raw, decode(raw))
+        yield NumberedLine(number, raw, decode(raw))
 
 
 # --- parts of a recording -------------------------------------------------------------------------
@@ -377,18 +377,16 @@ class Recording:
         held, self._held, self._held_bytes = self._held, [], 0
         if self.lines is None or not held:
             return
-        before = self.lines.count
+        lines, before = self.lines, self.lines.count
         try:
-            self.lines.append(*held)
+            lines.append(*held)
         except OSError as error:
-            whole = self.lines.count - before
-            self.written += whole
             if self._log is None:
                 raise
-            self.dropped += len(held) - whole
+            self.dropped += len(held) - (lines.count - before)
             self._pause(error.strerror or "write failed")
-        else:
-            self.written += len(held)
+        finally:
+            self.written += lines.count - before
 
     def sync(self) -> None:
         """Return once all that was put is on the disk: it survives a power failure."""

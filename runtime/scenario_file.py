@@ -6,9 +6,8 @@ from pathlib import Path
 from protocol.scenario.attack import AttackTable, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
-from runtime.errors import UsageError
+from runtime.errors import UsageError, writing
 from runtime.files import read_regular, read_toml, write_atomically
-from runtime.options import unwritable
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
 
@@ -24,7 +23,7 @@ def load_scenario(path: str | Path) -> Scenario:
     try:
         tables = read_toml(Path(path))
     except UsageError as error:
-        raise ScenarioError(error.lines) from None
+        raise ScenarioError(error.problems) from None
     return parse_scenario(tables, str(path))
 
 
@@ -34,15 +33,14 @@ def scenario_of(text: str) -> Scenario:
     Raises
     ------
     UsageError
-        With one line for each wrong field.
+        When there is no such file.
+    ScenarioError
+        As :func:`load_scenario`.
     """
     path = scenario_file_of(text)
     if not path.exists():
         raise UsageError(f"{text}: no such file{others_than(text)}")
-    try:
-        return load_scenario(path)
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+    return load_scenario(path)
 
 
 def scenario_in(text: str, source: str) -> Scenario:
@@ -50,13 +48,10 @@ def scenario_in(text: str, source: str) -> Scenario:
 
     Raises
     ------
-    UsageError
-        With one line for each wrong field.
+    ScenarioError
+        When it has a wrong field.
     """
-    try:
-        return parse_scenario(tomllib.loads(text), source)
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+    return parse_scenario(tomllib.loads(text), source)
 
 
 def attack_option(
@@ -105,13 +100,13 @@ def keep_scenario(run_dir: Path, text: str) -> None:
     ------
     UsageError
         When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
+    Failure
+        When the disk is full or broken.
     """
     kept = run_dir / SCENARIO
-    try:
+    with writing(f"--run-dir: {kept}"):
         if not kept.exists():
             write_atomically(kept, read_regular(scenario_file_of(text)))
-    except OSError as error:
-        raise unwritable(kept, error) from None
     there = scenario_of(str(kept))
     if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
         raise UsageError(

@@ -1,7 +1,6 @@
 """The bus that carries messages between processes, over Zenoh.
 
-This is the only file that imports zenoh, and it does so when a session is opened, so that
-importing :mod:`protocol` stays cheap.
+This is the only file that imports zenoh. Those who open a bus import it where they do.
 """
 
 import json
@@ -15,15 +14,14 @@ from contextlib import suppress
 from functools import partial
 from math import inf
 from threading import get_ident
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+
+import zenoh
 
 from runtime.addresses import Addresses, TlsFiles, appearances, check_endpoint, is_group
 from runtime.bus import Bus, ChannelClosed, Deliver, TransportError
 from runtime.hanging import within
 from runtime.zenoh_settings import ONE_THREAD, settings_of
-
-if TYPE_CHECKING:
-    import zenoh
 
 LARGEST_MESSAGE: Final = 2**18
 """Bytes of a message at most: three times the longest message to deliver, in base64."""
@@ -85,8 +83,6 @@ class ZenohPublisher:
     """
 
     def __init__(self, bus: "ZenohBus", key: str, *, many: bool) -> None:
-        import zenoh
-
         # Every message names its key a second time: see `ZenohBus.subscribe`.
         self._settings: dict[str, Any] = {
             "encoding": zenoh.Encoding(f"{_JSON};{key}"),
@@ -98,34 +94,28 @@ class ZenohPublisher:
         self._bus = bus
         self._key = key
         self._many = many
-        self._refused = zenoh.ZError
         self._session: zenoh.Session | None = None
-        self._declared: zenoh.Publisher | None = None
         self._put: Callable[[bytes], object] = self._lost
 
-    def attach(self, session: "zenoh.Session") -> None:
+    def attach(self, session: zenoh.Session) -> None:
         """Publish on this session from now on."""
-        import zenoh
-
         self._session = session
         if self._many:
             self._put = partial(session.put, zenoh.KeyExpr(self._key), **self._settings)
         else:
-            self._declared = session.declare_publisher(self._key, **self._settings)
-            self._put = self._declared.put
+            self._put = session.declare_publisher(self._key, **self._settings).put
 
     def detach(self) -> None:
         """Publish nowhere until it is attached again."""
         self._put = self._lost
-        self._session = self._declared = None
+        self._session = None
 
     @property
     def matched(self) -> bool:
         """Whether somebody listens to the key at this moment; what is put before is gone."""
         if self._session is None:
             return False
-        asked = self._declared or self._session.declare_publisher(self._key)
-        status: Any = asked.matching_status  # the stub says bool, wrongly
+        status: Any = self._session.declare_publisher(self._key).matching_status  # no bool
         return bool(status.matching)
 
     def _lost(self, _payload: bytes) -> None:
@@ -143,7 +133,7 @@ class ZenohPublisher:
         """
         try:
             self._put(payload)
-        except self._refused as error:
+        except zenoh.ZError as error:
             if self._bus.closed:
                 raise TransportError(f"key {self._key}: {_reason(error)}") from None
 
@@ -152,22 +142,17 @@ class ZenohChannel:
     """A `BusChannel` over Zenoh: the waiting thread is woken by the transport, and nobody else."""
 
     def __init__(self, bus: "ZenohBus", key_expr: str, capacity: int) -> None:
-        import zenoh
-
         self._bus = bus
         self._key = key_expr
         self._capacity = capacity
         self._encoding = f"{_JSON};{key_expr}"
-        self._ended = zenoh.ZError
         self._subscriber: Any = None
         self._handler: Any = None
         self._closed = False
         self._attached = threading.Event()
 
-    def attach(self, session: "zenoh.Session") -> None:
+    def attach(self, session: zenoh.Session) -> None:
         """Take messages from this session from now on."""
-        import zenoh
-
         self._subscriber = session.declare_subscriber(
             self._bus.spelling(self._key),
             zenoh.handlers.RingChannel(self._capacity),
@@ -200,7 +185,7 @@ class ZenohChannel:
                 elif _named_alike(sample, key := str(sample.key_expr)):
                     taken.append((key, _bounded(sample)))
                 sample = self._handler.try_recv()
-        except self._ended:
+        except zenoh.ZError:
             if not taken:
                 self._await_session(wait=wait)
         return taken
@@ -227,15 +212,13 @@ class ZenohChannel:
 class _Subscription:
     """Messages that a callback takes, from one session after the other."""
 
-    def __init__(self, bus: "ZenohBus", key_expr: str, receive: "Callable[[zenoh.Sample], None]"):
+    def __init__(self, bus: "ZenohBus", key_expr: str, receive: Callable[[zenoh.Sample], None]):
         self._bus = bus
         self._key_expr = key_expr
         self._receive = receive
 
-    def attach(self, session: "zenoh.Session") -> None:
+    def attach(self, session: zenoh.Session) -> None:
         """Take messages from this session from now on."""
-        import zenoh
-
         session.declare_subscriber(
             self._bus.spelling(self._key_expr),
             zenoh.handlers.Callback(self._receive, indirect=False),
@@ -257,14 +240,14 @@ def _keep_thread_state() -> None:
     ctypes.pythonapi.PyGILState_Ensure()  # never released: the state has one user for good
 
 
-def _bounded(sample: "zenoh.Sample") -> bytes:
+def _bounded(sample: zenoh.Sample) -> bytes:
     """The payload; of one that is too long its size and its first bytes, which is malformed."""
     size = len(sample.payload)
     payload = sample.payload.to_bytes()
     return payload if size <= LARGEST_MESSAGE else b"%d bytes: " % size + payload[:SHOWN]
 
 
-def _named_alike(sample: "zenoh.Sample", key: str) -> bool:
+def _named_alike(sample: zenoh.Sample, key: str) -> bool:
     """Whether the encoding names the key that the sample came under, or none."""
     encoding, _, named = str(sample.encoding).partition(";")
     return encoding != _JSON or named in ("", key)
@@ -291,6 +274,12 @@ class ZenohBus(Bus):
     extra : mapping, optional
         More Zenoh configuration, key to JSON value; wins over what is set here.
 
+    Attributes
+    ----------
+    closed : bool
+    received : int
+        Messages that have come.
+
     Raises
     ------
     TransportError
@@ -314,9 +303,6 @@ class ZenohBus(Bus):
                 check_endpoint(endpoint, option, tls=tls is not None)
         for endpoint in filter(is_group, connect):
             raise TransportError(f"{endpoint}: a multicast group: expected it to be listened on")
-        import zenoh
-
-        self._refused = zenoh.ZError
         self._client = client
         self._groups = sum(map(is_group, listen))
         self._endpoints = (*listen, *connect)
@@ -324,28 +310,18 @@ class ZenohBus(Bus):
         self._settings = settings_of(addresses) | dict(extra or {})
         self._parts: list[ZenohPublisher | ZenohChannel | _Subscription] = []
         self._changing = threading.Lock()
-        self._closing = threading.Event()
+        self.closed = False
         self.received = 0
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(self._settings, self._endpoints, retry_until=until)
-        self._links: list[zenoh.Link] = []
-        self._appearances = self._count()
-
-    @property
-    def closed(self) -> bool:
-        """Whether it has been closed."""
-        return self._closing.is_set()
-
-    @property
-    def name(self) -> str:
-        """Where it listens and connects."""
-        return ", ".join(self._endpoints) or "zenoh"
+        self._links: list[zenoh.Link] | None = None  # as they were counted last
+        self._appearances = 1
 
     def links(self) -> frozenset[tuple[str, str]]:
         """The links that are open, by their two locators; a multicast group's are to each other."""
         try:
             return frozenset((x.src, x.dst) for x in self._session.info.links())
-        except self._refused:  # closed
+        except zenoh.ZError:  # closed
             return frozenset()
 
     def spelling(self, key_expr: str) -> str:
@@ -363,10 +339,6 @@ class ZenohBus(Bus):
             for chunk in key_expr.split("/")
         )
 
-    def _count(self) -> int:
-        pairs = [(link.src, link.dst) for link in self._links if link.group is None]
-        return appearances(pairs, self._groups, routed=self._client)
-
     def appearances(self) -> int:
         """How often a message that is put now leaves, by the links that are open; 1 at least.
 
@@ -377,11 +349,12 @@ class ZenohBus(Bus):
         """
         try:
             links = self._session.info.links()
-        except self._refused:  # closed
+        except zenoh.ZError:  # closed
             return self._appearances
         if links != self._links:
             self._links = links
-            self._appearances = self._count()
+            pairs = [(link.src, link.dst) for link in links if link.group is None]
+            self._appearances = appearances(pairs, self._groups, routed=self._client)
         return self._appearances
 
     def _attach(self, part: "ZenohPublisher | ZenohChannel | _Subscription", key: str) -> None:
@@ -390,7 +363,7 @@ class ZenohBus(Bus):
             with self._changing:
                 part.attach(self._session)
                 self._parts.append(part)
-        except self._refused as error:
+        except zenoh.ZError as error:
             raise TransportError(f"key {key!r}: {_reason(error)}") from None
 
     def end(self, channel: ZenohChannel) -> None:
@@ -407,7 +380,7 @@ class ZenohBus(Bus):
     def _undeclare(self, subscribers: "Sequence[Any]") -> None:
         for subscriber in subscribers:
             if subscriber is not None:
-                with suppress(self._refused):
+                with suppress(zenoh.ZError):
                     subscriber.undeclare()
 
     def publisher(self, key: str, *, many: bool = False) -> ZenohPublisher:
@@ -441,8 +414,6 @@ class ZenohBus(Bus):
         TransportError
             When ``key_expr`` is no key expression.
         """
-        import zenoh
-
         nap = _Nap()
         threads: set[int] = set()
 
@@ -488,10 +459,11 @@ class ZenohBus(Bus):
         """
         with self._changing:
             if not within(CLOSE_S, self._detach()):
-                raise TransportError(f"{self.name}: the session does not end: start this again")
+                where = ", ".join(self._endpoints)
+                raise TransportError(f"{where}: the session does not end: start this again")
             within(CLOSE_S, partial(_close_session, self._session))
             until = time.monotonic() + REOPEN_S
-            while not self._closing.is_set():
+            while not self.closed:
                 try:
                     session = _open(self._settings, self._endpoints, retry_until=-inf)
                 except TransportError:
@@ -515,7 +487,7 @@ class ZenohBus(Bus):
         An attempt to connect that is under way can hold this up for 1 s. Where the session does not
         close it is left, and the process ends all the same (:func:`runtime.hanging.leave`).
         """
-        self._closing.set()
+        self.closed = True
 
         def close() -> None:
             with self._changing:
@@ -526,8 +498,6 @@ class ZenohBus(Bus):
 
 
 def _close_session(session: Any) -> None:  # its stub leaves close() untyped
-    import zenoh
-
     with suppress(zenoh.ZError):  # after ten seconds it says that it takes too long
         session.close()
 
@@ -578,9 +548,7 @@ def open_router(
 
 def _open(
     settings: Mapping[str, Any], endpoints: Sequence[str], *, retry_until: float
-) -> "zenoh.Session":
-    import zenoh
-
+) -> zenoh.Session:
     if settings["mode"] != "router":  # which has the messages of many to relay
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
     config = zenoh.Config()

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from runtime.bus_options import ServiceOptions, add_service_arguments, endpoints_of
 from runtime.errors import UsageError
-from runtime.fleet import FleetLoop, fleet_of
+from runtime.fleet import FleetLoop, loops_of
 from runtime.locks import alone_in
 from runtime.options import fine, option, picked, run_dir_of
 
@@ -152,7 +152,7 @@ def run_with_knowledge(
     """
     from pathlib import Path
 
-    from runtime.metrics import noted
+    from runtime.recording import Bounds
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -161,7 +161,7 @@ def run_with_knowledge(
 
     own_view = None if options.view is None else read_json("--view", options.view, View)
     ends = endpoints_of(options, "tap")
-    fleet, many = fleet_of(options), options.fleet is not None
+    loops, many = loops_of(options), options.fleet is not None
 
     def config_of(loop: FleetLoop) -> TapConfig:
         told = knowledge_of(loop)
@@ -178,7 +178,7 @@ def run_with_knowledge(
             names=names or default_names(told.knowledge),
             view=view,
             loop=loop.id,
-            limits=options.bounds,
+            limits=Bounds(total_bytes=options.total_bytes),
         )
         find_each(config.names, config.knowledge_of, where)
         for name in config.names:
@@ -190,16 +190,16 @@ def run_with_knowledge(
         return config
 
     try:
-        for loop in fleet.loops.values():
+        for loop in loops:
             config = config_of(loop)
             if not options.check:
                 break
         if options.check and many:
-            return fine(f"{len(fleet.loops)} loops")
+            return fine(f"{len(loops)} loops")
         if options.check:
             return fine(f"eavesdroppers {', '.join(config.names)}")
-        make = partial(TapFleet, fleet, config_of) if many else partial(TapService, config)
+        make = partial(TapFleet, loops, config_of) if many else partial(TapService, config)
         with alone_in(run_dir_of(options.run_dir) / "tap"):
-            return run_tap(make, ends, partial(noted, options.metrics))
+            return run_tap(make, ends, options.metrics)
     except KnowledgeError as error:
         raise UsageError(f"--eavesdropper: {error}") from None

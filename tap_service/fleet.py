@@ -7,19 +7,20 @@ eavesdroppers, which need a process each, read the recordings afterwards (``wyne
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
+from protocol.errors import WynerError
 from protocol.messages import FIELD
 from protocol.topics import every_loop
+from runtime.bus_options import buses_of
 from runtime.collection import freeze_startup
 from runtime.errors import DONE, Failure, UsageError
-from runtime.fleet import Fleet, FleetLoop
+from runtime.fleet import FleetLoop
 from runtime.logs import logger
 from runtime.signals import stop_on_signals
 from tap_service.config import SILENT_S, TapConfig
-from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import TapService
 
 if TYPE_CHECKING:
@@ -37,45 +38,43 @@ a share of the loops is told of, all in :data:`TELL_S`."""
 NICENESS: Final = 10
 """Guessing gives way to the loop where they share a processor."""
 
-Note = Callable[["Bus"], AbstractContextManager["Bus"]]
-"""What else is done with the bus that statuses are published on, such as metrics."""
-
 
 def run_tap(
     make: Callable[[], "TapService | TapFleet"],
     ends: "Mapping[str, Addresses]",
-    note: Note,
+    metrics: str | None,
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
+
+    Parameters
+    ----------
+    make : callable
+    ends : mapping
+        Of the buses field and adversary.
+    metrics : str, optional
+        Where Prometheus is answered.
 
     Raises
     ------
     KnowledgeError
         When an eavesdropper cannot be made.
-    runtime.bus.TransportError
+    UsageError
         When a bus cannot be opened; nothing has started in either case.
     """
-    from runtime.link_watchdog import watched
-    from runtime.zenoh_bus import open_bus
-
-    with ExitStack() as stack:
-        stopping = stack.enter_context(stop_on_signals())
+    with stop_on_signals() as stopping:
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
         service = make()
-        stack.callback(service.close)
-        field_bus = stack.enter_context(open_bus(ends["field"]))
-        told_on = stack.enter_context(open_bus(ends["adversary"]))
-        service.attach(field_bus, stack.enter_context(note(told_on)))
-        buses = field_bus, told_on
-        stack.enter_context(
-            watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
-        )
-        # On Linux this is the calling thread's alone: the transport's threads, already
-        # running, still take messages off the wire at once.
-        os.nice(NICENESS)
-        freeze_startup()
-        service.run(stopping)
+        with (
+            closing(service),
+            buses_of(ends, stopping, service.log, metrics, SILENT_S) as (field, adversary),
+        ):
+            service.attach(field, adversary)
+            # On Linux this is the calling thread's alone: the transport's threads, already
+            # running, still take messages off the wire at once.
+            os.nice(NICENESS)
+            freeze_startup()
+            service.run(stopping)
     return DONE
 
 
@@ -84,13 +83,15 @@ class TapFleet:
 
     Parameters
     ----------
-    fleet : Fleet
+    loops : sequence of FleetLoop
     config_of : callable
         What the tap of one loop is told; raises `UsageError` where that cannot be.
     """
 
-    def __init__(self, fleet: Fleet, config_of: Callable[[FleetLoop], TapConfig]) -> None:
-        self._fleet = fleet
+    def __init__(
+        self, loops: Sequence[FleetLoop], config_of: Callable[[FleetLoop], TapConfig]
+    ) -> None:
+        self._loops = loops
         self._config_of = config_of
         self.log = logger("tap")
         self.taps: dict[str, TapService] = {}
@@ -101,13 +102,13 @@ class TapFleet:
     def attach(self, field: "Bus", adversary: "Bus") -> None:
         """Listen to every loop at once, and take the fleet's in."""
         self._adversary = adversary
-        for loop in self._fleet.loops.values():
+        for loop in self._loops:
             self._open(loop)
         for tap in self.taps.values():
             tap.share(len(self.taps))
         for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
-        self.log.info("listening on %d of %d loops", len(self.taps), len(self._fleet.loops))
+        self.log.info("listening on %d of %d loops", len(self.taps), len(self._loops))
 
     def _deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         tap = self._by_key.get(key)
@@ -119,7 +120,7 @@ class TapFleet:
         try:
             tap = TapService(self._config_of(loop))
             tap.begin()
-        except (UsageError, Failure, KnowledgeError, OSError) as error:
+        except (UsageError, Failure, WynerError, OSError) as error:
             self.log.error("loop %s: not listened to: %s", loop.id, error)
             return
         tap.publish_on(self._adversary, many=True)

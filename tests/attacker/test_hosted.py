@@ -107,8 +107,8 @@ def test_what_cannot_be_made_is_one_line(
 ) -> None:
     with pytest.raises(UsageError) as caught:
         Attacker(scenario, AttackTable.model_validate({"onset": 5, **table}), 1)
-    assert len(caught.value.lines) == 1
-    assert caught.value.lines[0].startswith(line), caught.value.lines
+    assert len(caught.value.problems) == 1
+    assert caught.value.problems[0].startswith(line), caught.value.problems
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_what_cannot_be_made_is_one_line(
 def test_a_wrong_option_is_one_line(text: str, expected: str) -> None:
     with pytest.raises(UsageError) as caught:
         attack_option(text, None, 9)
-    assert caught.value.lines[0].startswith(expected)
+    assert caught.value.problems[0].startswith(expected)
 
 
 COVERT = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,49 +51,38 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert list(bare_figures(scored)) == []
 
 
+@pytest.mark.parametrize(("missed", "most"), [(99, 2), (99, 8), (0, 8)])
 def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after_it_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    missed: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     """A busy machine had the first keys after the onset, and the demo showed nothing."""
     asked: list[tuple[str, str]] = []
-    missed = 99
-    pace, slowest = demo.PACE, f"x{demo.ATTACKED_PACE / 8:g}"
 
     def session(options: RunOptions, *_: object, **__: object) -> Outcome:
         folder = Path(str(options.run_dir))
         folder.mkdir(parents=True)
         asked.append((folder.name, options.pace))
-        watched = 40 if options.pace == slowest else 0
+        watched = 40 if options.pace == f"x{demo.ATTACKED_PACE / 8:g}" else 0
         alarm = 361 if watched and folder.name == "caught" else -1
-        found = {"onset": 360, "watched": watched, "alarm_k": alarm, "delay": 1}
         summary = {
-            "attack": found, "taps": {}, "keys": {}, "failed": [],
-            "delivered": folder.name != "spoken",
-            "missed": missed, "steps": 460, "bits_per_second": 20.0, "delivered_k": 273,
+            "attack": {"onset": 360, "watched": watched, "alarm_k": alarm, "delay": 1},
+            "taps": {}, "keys": {}, "failed": [], "delivered": folder.name != "spoken",
+            "missed": missed, "steps": 460,
         }  # fmt: skip
         scenario = scenario_of("packed")
-        return Outcome(scenario, summary, failure=None, interrupted=False, left=False)
+        return Outcome(summary, [], scenario, failure=None, interrupted=False, left=False)
 
     monkeypatch.setattr(demo, "run_session", session)
-    monkeypatch.setattr(demo, "SLOWEST", 2)
-    assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "never")]) == 1
-    assert asked[:3] == [
-        ("spoken", f"x{pace:g}"),
-        ("spoken", f"x{pace / 2:g}"),
-        ("keys", f"x{pace / 2:g}"),
+    monkeypatch.setattr(demo, "SLOWEST", most)
+    assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")]) == 1
+    spoken, *_, attacked = json.loads(capsys.readouterr().out)["verdict"]
+    assert spoken == f"1. Spoken:  not delivered: {missed} of 460 steps missed."
+    slow = [1, 2, 4, 8][: most.bit_length()] if missed else [1]  # else it was not the machine
+    assert asked[: len(slow) + 1] == [
+        *(("spoken", f"x{demo.PACE / n:g}") for n in slow),
+        ("keys", f"x{demo.PACE / slow[-1]:g}"),
     ]
-    verdict = json.loads(capsys.readouterr().out)["verdict"]
-    assert verdict[0] == "1. Spoken:  not delivered: 99 of 460 steps missed."
-    assert "no key was there in time (99 of 460 steps missed)" in verdict[-1]
-    missed = 0
-    asked.clear()
-    assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "idle")]) == 1
-    names = [name for name, _ in asked]
-    assert names == ["spoken", "keys", "control", "caught", "unseen"]  # it was not the machine
-    capsys.readouterr()
-    missed = 99
-    monkeypatch.setattr(demo, "SLOWEST", 8)
-    asked.clear()
-    main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")])
-    assert asked[-2:] == [("caught", slowest), ("unseen", slowest)]
-    assert "caught 1 step after its onset" in json.loads(capsys.readouterr().out)["verdict"][-1]
+    assert asked[-2:] == [(n, f"x{demo.ATTACKED_PACE / slow[-1]:g}") for n in ("caught", "unseen")]
+    caught = slow[-1] == 8
+    assert ("caught 1 step after its onset" in attacked) == caught
+    assert ("no key was there in time" in attacked) == (not caught)

@@ -18,9 +18,6 @@ DONE: Final = (
     ("design", "mine.toml"),
     ("design", "paper", "--knowledge", "k.json"),
     ("new", "other"),
-    ("plant", "--check"),
-    ("controller", "--check", "--fleet", "3"),
-    ("tap", "--run-dir", "d", "--scenario", "paper", "--check"),
     ("check", "RUN"),
     ("score", "RUN"),
     ("report", "RUN", "--output", "c.csv"),
@@ -29,6 +26,8 @@ DONE: Final = (
 )
 
 FIT: Final = ("-o", "f.toml", "--states", "a", "--inputs", "u", "--period", "1")
+
+GUARDED: Final = ("--listen", "field=tls/127.0.0.1:1")
 
 FOUND: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     # a finding
@@ -51,13 +50,17 @@ WRONG: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     (("up", "--seed", "-1"), "--seed: got -1, expected at least 0"),
     (("up", "--run-dir", ""), "--run-dir: got '', expected a folder"),
     (("up", "--run-dir", "RUN"), "--run-dir: RUN: has a run already, expected a new folder"),
-    (("up", "--run-dir", "/proc/x"), "--run-dir: /proc/x: cannot be made"),
+    (("up", "--run-dir", "/proc/x"), "--run-dir: /proc/x: cannot be written"),
     (("up", "--eavesdropper", "eve"), "eavesdropper: got 'eve', expected set-membership"),
     (("up", "--pace", "x0"), "--pace: got 'x0', expected realtime, fast, or xN"),
     (("up", "--message", ""), "message: got 0 bytes, expected 1 to 65535"),
     (("up", "--message", "@none.txt"), "message: none.txt: cannot be read"),
     (("up", "--scenario", "far.toml"), "plant.initial_state: "),
     (("up", "--scenario", "mine"), "mine: no such file; did you mean mine.toml?"),
+    (
+        ("up", "--scenario", "sealed", "--steps", "48"),
+        "--steps: got 48, expected more than 48",
+    ),
     (("up", "--demo", "--pace", "fast"), "--pace: cannot be given with --demo"),
     (("plant", "--loop", "a/b"), "--loop: got 'a/b'"),
     (("plant", "--listen", "field"), "--listen: got 'field', expected BUS="),
@@ -73,6 +76,11 @@ WRONG: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     (("dashboard", "--connect", "intel=tcp/127.0.0.1:1"), "one of management, adversary"),
     (("router", "--listen", "ops=tcp/127.0.0.1:1"), "with BUS one of field, management, adversary"),
     (("router", "--listen", "field=tcp/127.0.0.1:1", "--tls", "management=d"), "expected --listen"),
+    (("router", "--listen", "field=127.0.0.1:1"), "got '127.0.0.1:1', expected tcp/HOST:PORT"),
+    (("router", *GUARDED, "--tls", "field=a", "--tls", "field=b"), "field: got several folders"),
+    (("router", *GUARDED, "--tls", "field=nowhere"), "no such file"),
+    (("certs", "c", "--name", "a=b c"), "--name a=b c: host: got 'b c', expected an IP address"),
+    (("certs", "c", "--name", "a="), "--name: got 'a=', expected NAME or NAME=HOST,..."),
     (("certs", "c", "--name", "a/b"), "--name a/b: name: got 'a/b', expected 1 to 64"),
     (("send",), "the following arguments are required: TEXT"),
     (("send", "text", "--timeout", "0"), "--timeout: got 0.0"),
@@ -101,6 +109,16 @@ WRONG: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
         ("fit", "rows.csv", "-o", "f.toml", *["--states", "z", "--inputs", "u", "--period", "1"]),
         "has no colu",
     ),
+    (
+        ("fit", "mine.toml", "-o", "f.toml", "--violation=0.01", "--sessions=98"),
+        "got 98 sessions",
+    ),
+    (
+        ("fit", "mine.toml", "-o", "f.toml", "--violation=0.001"),
+        "--sessions: got 100 sessions",
+    ),
+    (("fit", "mine.toml", "-o", "f.toml", "--steps=0"), "--steps: got 0, expected at least 1"),
+    (("fit", "mine.toml", "-o", "f.toml", "--amplitude=2"), "--amplitude: got 2, expected between"),
     (("fit", "sustained", "-o", "none/f.toml"), "--output: got 'none/f.toml', expected"),
     (("sweep", "none"), "none: no such file, and no shipped sweep; shipped are disturbances,"),
     (("sweep", "mine.toml"), "mine.toml: this is a scenario, expected a sweep"),

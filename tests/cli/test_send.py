@@ -1,8 +1,9 @@
-"""``wyner send``: what it says on the bus while it waits."""
+"""``wyner send``: which run it joins, how it waits, and what it says."""
 
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,9 @@ import pytest
 from protocol.messages import SendReply
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
-from wyner.cli import send
+from wyner.cli import joining
+from wyner.cli.joining import joined
 from wyner.cli.main import main
-from wyner.cli.options import joined
 from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
 from wyner.deployment.sending import queued
@@ -25,8 +26,7 @@ NOBODY = "tcp/127.0.0.1:9"
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(running, "CONTROLLER_MANAGEMENT", NOBODY)
-    monkeypatch.setattr(send, "CONTROLLER_MANAGEMENT", NOBODY)
+    monkeypatch.setattr(joining, "CONTROLLER_MANAGEMENT", NOBODY)
 
 
 @pytest.mark.usefixtures("alone")
@@ -58,6 +58,24 @@ def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
 
 
 @pytest.mark.usefixtures("alone")
+def test_of_several_runs_one_must_be_named() -> None:
+    other = replace(RUN, run_dir="/runs/b/run")
+    with announced(RUN), announced(other):
+        with pytest.raises(UsageError, match=r"2 runs .* expected --run with one of: a/run, b/run"):
+            joined(BusOptions(), None, "dashboard")
+        with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a/run, b"):
+            joined(BusOptions(), "c", "dashboard")
+        with pytest.raises(UsageError, match="2 runs end in 'run'"):
+            joined(BusOptions(), "run", "dashboard")
+        loop, buses = joined(BusOptions(), "b/run", "operator")
+        assert loop == other
+        assert buses.connect == ["management=tcp/127.0.0.1:1", "management=tcp/127.0.0.1:2"]
+        # where an option names the loop, it is that one
+        named = BusOptions(connect=["management=tcp/plant:7447"])
+        assert joined(named, None, "operator", own=True) == (None, named)
+
+
+@pytest.mark.usefixtures("alone")
 def test_a_run_that_does_not_answer_yet_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with announced(RUN):
         told = ["send", "--timeout", "0.2", "--id", "mine", "--run", "a/run", "hi"]
@@ -78,6 +96,12 @@ def test_the_run_of_another_folder_is_refused_unless_it_is_named(
         assert "/runs/a/run, is not of this folder; where it is meant expected --run run" in said
     with monkeypatch.context() as by_hand:
         by_hand.setattr(running, "listens", lambda _endpoint: True)
+        assert joined(BusOptions(), None, "dashboard") == (None, BusOptions())
+        with (
+            announced(RUN),
+            pytest.raises(UsageError, match=r"two loops .* expected --run run"),
+        ):
+            joined(BusOptions(), None, "dashboard")
         assert main(["send", "--timeout", "0.2", "hi"]) == 2
     said = capsys.readouterr().err
     assert "no run of this user on this machine, and services at tcp/127.0.0.1:9" in said

@@ -77,20 +77,6 @@ def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path
     assert session.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
 
 
-@pytest.mark.parametrize("name", ["sealed", "watched"])
-def test_a_run_that_ends_before_its_first_key_is_one_line(
-    name: str, tmp_path: Path, capsys: Any
-) -> None:
-    run_dir = tmp_path / "run"
-    options = ["--scenario", name, "--run-dir", str(run_dir)]
-    assert main(["up", *options, "--steps", "48"]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert "--steps: got 48, expected more than 48: under this claim no step before" in said.err
-    assert not run_dir.exists()
-
-
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
@@ -123,7 +109,7 @@ def test_a_run_whose_eavesdropper_failed_ends_with_1(
     """What she would have had nobody knows: it is no success."""
     summary = {"failed": failed, "delivered": True}
     scenario = scenario_of("sustained")
-    outcome = session.Outcome(scenario, summary, None, interrupted=False, left=False)
+    outcome = session.Outcome(summary, [], scenario, None, interrupted=False, left=False)
     monkeypatch.setattr(up, "run_session", lambda _options: outcome)
     assert main(["up", "--json", "--until-delivered"]) == code
     assert json.loads(capsys.readouterr().out)["failed"] == failed

@@ -141,19 +141,3 @@ def test_the_command_says_what_it_made_and_what_it_kept(
     )
     for expected in ("plant.example.org", "plant.field", "localhost", "127.0.0.1"):
         assert expected in names
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--name", "a=b c"], "--name a=b c: host: got 'b c', expected an IP address"),
-        (["--name", "a="], "--name: got 'a=', expected NAME or NAME=HOST,..."),
-    ],
-)
-def test_wrong_arguments_are_one_line_each_and_make_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
-) -> None:
-    assert main(["certs", str(tmp_path / "certs"), *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert expected in line
-    assert not (tmp_path / "certs").exists()

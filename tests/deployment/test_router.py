@@ -11,13 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import (
-    ADVERSARY,
-    FIELD,
-    MANAGEMENT,
-    Measurement,
-    Offer,
-)
+from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Measurement, Offer
 from protocol.topics import key_of
 from runtime.addresses import TlsFiles, free_endpoints
 from runtime.bus import Deliver
@@ -25,7 +19,6 @@ from runtime.services import BUSES, SERVICES, on_bus
 from runtime.zenoh_bus import ZenohBus, open_router
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import recovered_in
-from wyner.cli.main import main
 from wyner.deployment.access import access_control
 from wyner.deployment.certificates import ensure_certificates
 
@@ -193,25 +186,3 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
             if process.poll() is None:
                 process.kill()
             process.wait()
-
-
-# --- the command ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (
-            ["--listen", "field=tls/127.0.0.1:1", "--tls", "field=a", "--tls", "field=b"],
-            "--tls field: got several folders, expected one",
-        ),
-        (["--listen", "field=127.0.0.1:1"], "got '127.0.0.1:1', expected tcp/HOST:PORT"),
-        (["--listen", "field=tls/127.0.0.1:1", "--tls", "field=nowhere"], "no such file"),
-    ],
-)
-def test_wrong_arguments_are_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
-) -> None:
-    assert main(["router", *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert expected in line

@@ -10,15 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.errors import UsageError
-from wyner.deployment import running
-from wyner.deployment.running import (
-    RunningLoop,
-    announced,
-    chosen,
-    notes_folder,
-    running_loops,
-)
+from wyner.deployment.running import RunningLoop, announced, notes_folder, running_loops
 
 ANNOUNCES = (
     "import sys; from wyner.deployment.running import RunningLoop, announced;"
@@ -35,7 +27,6 @@ def loop_named(name: str) -> RunningLoop:
 @pytest.fixture(autouse=True)
 def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(running, "CONTROLLER_MANAGEMENT", "tcp/127.0.0.1:9")
     return tmp_path
 
 
@@ -55,11 +46,8 @@ def test_a_note_stands_as_long_as_its_run(runtime: Path) -> None:
     assert running_loops() == []
     with announced(loop_named("a")):
         assert running_loops() == [loop_named("a")]
-        assert chosen(None) == loop_named("a")
-        assert chosen("a") == chosen("/runs/a") == loop_named("a")
     assert running_loops() == []
     assert list((runtime / "wyner").iterdir()) == []
-    assert chosen(None) is None
     assert (runtime / "wyner").stat().st_mode & 0o77 == 0
 
 
@@ -72,15 +60,6 @@ def test_a_note_whose_process_was_killed_is_taken_away(another: int, runtime: Pa
     assert not note.exists()
 
 
-def test_of_several_runs_one_must_be_named(another: int) -> None:
-    with announced(loop_named("a")):
-        with pytest.raises(UsageError, match="2 runs on this machine, expected --run with one"):
-            chosen(None)
-        assert chosen("b") == loop_named("b")
-        with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a, b"):
-            chosen("c")
-
-
 def test_a_run_is_named_by_its_path_from_here() -> None:
     """Two runs in ``a/run`` and ``b/run`` were both announced as ``run``."""
     run = loop_named("a/run")
@@ -88,9 +67,9 @@ def test_a_run_is_named_by_its_path_from_here() -> None:
     assert run.seen_from(Path("/runs/a")) == "run"
     for elsewhere in ("/runs/b", "/runs/a/run", "/runs/a/ru"):
         assert run.seen_from(Path(elsewhere)) == "/runs/a/run"
-    with announced(run):
-        assert chosen(run.seen_from(Path("/runs"))) == run
-        assert chosen(run.seen_from(Path("/elsewhere"))) == run
+    assert run.is_called("a/run")
+    assert run.is_called("/runs/a/run")
+    assert not run.is_called("b/run")
 
 
 def test_notes_that_are_no_notes_are_passed_over(runtime: Path) -> None:

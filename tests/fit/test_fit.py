@@ -103,27 +103,6 @@ def test_the_command_writes_it_and_computes_no_set_a_second_time(
     assert "D_c: a session of 30 steps leaves it with probability at most" in lines
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (
-            ["--violation=0.01", "--sessions=98"],
-            "--sessions: got 98 sessions, expected at least 99",
-        ),
-        (["--violation=0.001"], "--sessions: got 100 sessions, expected at least 999"),
-        (["--steps=0"], "--steps: got 0, expected at least 1"),
-        (["--amplitude=2"], "--amplitude: got 2, expected between 0 and 1"),
-    ],
-)
-def test_wrong_numbers_are_named(
-    folder: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = folder / "no.toml"
-    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *arguments]) == 2
-    assert capsys.readouterr().err.startswith(f"wyner: {says}")
-    assert not out.exists()
-
-
 def test_what_cannot_be_fitted_says_why(folder: Path) -> None:
     def without(*path: str) -> dict[str, Any]:
         tables = {k: dict(v) if isinstance(v, dict) else v for k, v in CART.items()}

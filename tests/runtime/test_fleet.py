@@ -3,7 +3,7 @@
 import json
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -115,8 +115,8 @@ class Hosts:
         stopping = threading.Event()
 
         @contextmanager
-        def buses_of(*_: object) -> Iterator[tuple[threading.Event, MemoryBus, MemoryBus]]:
-            yield stopping, MemoryBus(self.field), MemoryBus(self.management)
+        def buses_of(*_: object) -> Iterator[tuple[MemoryBus, MemoryBus]]:
+            yield MemoryBus(self.field), MemoryBus(self.management)
 
         def run(service: str, *more: str) -> None:
             common = [*self.options, "--run-dir", str(self.folder), "--pace", pace]
@@ -128,6 +128,7 @@ class Hosts:
         ]
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr(end_service, "buses_of", buses_of)
+            patched.setattr(end_service, "stop_on_signals", lambda: nullcontext(stopping))
             patched.setattr(controllers, "designed", lambda _: self.law)
             for thread in threads:
                 thread.start()

@@ -54,11 +54,11 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     free.set()
     other = OnDisk(tmp_path, free)
     writer = HealthWriter()
-    writer.put("a", slow, status(1))
+    writer.put(slow, status(1))
     assert slow.entered.wait(PATIENCE_S)
     for transitions in range(2, 1000):
-        writer.put("a", slow, status(transitions))
-    writer.put("b", other, status(7))
+        writer.put(slow, status(transitions))
+    writer.put(other, status(7))
     assert slow.written == other.written == []
     slow.held.set()
     writer.close(30)

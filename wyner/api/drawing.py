@@ -52,10 +52,15 @@ def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: 
 
 def draw_states(runs: Simulated, axes: "Axes", run: int = 0) -> None:
     """Draw the states of a run over time, with a mark on every step that agreed a key symbol."""
-    from wyner.drawing.axes import draw_states as draw
-
     agreed = np.flatnonzero(runs.key[_run(runs, run)] != NO_SYMBOL)
-    draw(axes, runs.x[run], runs.system.scenario.plant.period_s, agreed)
+    x = runs.x[run]
+    time_s = runs.system.scenario.plant.period_s * np.arange(len(x))
+    for i in range(x.shape[1]):
+        axes.plot(time_s, x[:, i], lw=1, label=f"$x_{i + 1}$")
+    axes.plot(time_s[agreed + 1], np.zeros(len(agreed)), "|", color="k", ms=8, label="key agreed")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("state")
+    axes.legend(fontsize="small")
 
 
 def _run(runs: Simulated, run: int) -> int:
@@ -66,8 +71,13 @@ def _run(runs: Simulated, run: int) -> int:
 
 def draw_rate(runs: Simulated, axes: "Axes", alphas: ArrayLike, label: str | None = None) -> None:
     """Draw the rate against alpha with its 95 % band (the paper's Fig. 7)."""
-    from wyner.drawing.axes import draw_rate as draw
-
     values = np.atleast_1d(np.asarray(alphas, dtype=float))
+    rates = rate_against_alpha(runs, values)
     name = label or runs.system.scenario.name
-    draw(axes, values, rate_against_alpha(runs, values), name)
+    (line,) = axes.plot(values, [r.value for r in rates], lw=1.4, label=name)
+    low, high = [r.low for r in rates], [r.high for r in rates]
+    axes.fill_between(values, low, high, color=line.get_color(), alpha=0.2)
+    axes.set_xlabel(r"$\alpha$")
+    axes.set_ylabel("message rate (bit/s), which is not secrecy")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")

@@ -4,10 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of
+from runtime.bus_options import BusOptions, add_service_arguments, buses_of, endpoints_of
 from runtime.options import picked
 from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
-from wyner.cli.options import add_run_argument, joined
+from wyner.cli.joining import add_run_argument, joined
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,10 +24,8 @@ def run(args: argparse.Namespace) -> int:
     """Watch until q or Ctrl-C."""
     from protocol.text import printable
     from runtime.errors import DONE, INTERRUPTED
-    from runtime.link_watchdog import watched
     from runtime.logs import logger
     from runtime.signals import stop_on_signals
-    from runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
@@ -46,9 +44,7 @@ def run(args: argparse.Namespace) -> int:
     ends = endpoints_of(buses, "dashboard")
     with (
         stop_on_signals() as stopping,
-        open_bus(ends["management"]) as management,
-        open_bus(ends["adversary"]) as adversary,
-        watched(stopping, logger("dashboard"), management, adversary),
+        buses_of(ends, stopping, logger("dashboard")) as (management, adversary),
     ):
         source = BusSource(management, adversary, buses.loop)
         if has_screen():

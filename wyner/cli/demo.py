@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from runtime.scenario_file import scenario_of
 from wyner.cli.results import show
 from wyner.cli.session import Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
+from wyner.printout import Printout
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 PACE: Final = 5.0
@@ -32,23 +33,6 @@ ATTACKED_PACE: Final = 7.0
 SLOWEST: Final = 8
 """What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
 is made again at half the pace, and those after it begin so."""
-
-TITLES: Final = {
-    "spoken": "1/5 spoken",
-    "keys": "2/5 keys",
-    "control": "3/5 comparison",
-    "caught": "4/5 attacked, secret key",
-    "unseen": "5/5 attacked, no key",
-}
-ABOUT: Final = {
-    "spoken": "a message that the loop itself carries, a choice of four inputs a step, beside a "
-    "tap that hears all",
-    "keys": "keys distilled from what a tap that loses 30 % misses",
-    "control": "the same beside a tap that hears all: no key may come of it",
-    "caught": "a spoofed sensor where Eve misses 30 %, under keys distilled from that",
-    "unseen": "the same where Eve hears all: the claim is refuted, and no key is made",
-}
-"""What each run is, as the screen's first line begins and as a line says before it."""
 
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
@@ -69,6 +53,163 @@ who go on to read the message would take half of their processor time."""
 LISTENED: Final = {"tap.eavesdroppers": ATTACKED_BY}
 HEARS_ALL: Final = {"tap.loss": 0.0}
 
+Verdict = tuple[str, bool | None]
+"""A run's line, and whether the run came out as it must: None where it shows nothing."""
+
+
+def _spoken(summary: dict[str, Any]) -> Verdict:
+    """Every symbol is read."""
+    had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
+    first = min((k for k in had if k >= 0), default=-1)
+    if not summary["delivered"]:
+        return f"1. Spoken:  not delivered: {_missed(summary)}.", None
+    if not had:
+        return "1. Spoken:  the tap has not got the message, and should have.", False
+    line = (
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule, counted; "
+        f"the plant has it at step {summary['delivered_k']}, the tap at {first}."
+    )
+    return line, True
+
+
+def _keys(summary: dict[str, Any]) -> Verdict:
+    """Keys are made, and the tap holds no bit of them."""
+    keys = summary["keys"] or {}
+    made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
+    if not made:
+        return f"2. Keys:    none was made: {_missed(summary)}.", None
+    line = f"2. Keys:    {made} keys made. A tap that loses 30 % holds {held} bits."
+    return line, bool(held == 0)
+
+
+def _control(summary: dict[str, Any]) -> Verdict:
+    """Beside a tap that hears all nothing may be claimed of it, and no key comes out."""
+    made = _made(summary)
+    if made:
+        return f"3. Compare: {made} keys beside a tap that hears all: that must not be.", False
+    if not summary["delivered"]:
+        return f"3. Compare: nothing is shown, for {_missed(summary)}.", None
+    return "3. Compare: where the eavesdropper hears everything, no key is made.", True
+
+
+def _caught(summary: dict[str, Any]) -> Verdict:
+    """Eve does not have the key that chooses the input, and a ghost at the sensor is caught."""
+    found = summary["attack"] or {}
+    delay = found.get("delay", -1)
+    line = "4. Attacked: a spoofed sensor is "
+    if found.get("alarm_k", -1) >= 0:
+        line += f"caught {delay} step{'' if delay == 1 else 's'} after its onset under a secret key"
+        return line, not found.get("false_alarms")
+    line += "NOT caught"
+    if found.get("watched", 0) >= ENOUGH:
+        return line, False
+    return f"{line}, for no key was there in time ({_missed(summary)})", None
+
+
+def _unseen(summary: dict[str, Any]) -> Verdict:
+    """Where Eve hears all the claim is refuted, so that no key watches the sensor."""
+    found = summary["attack"] or {}
+    away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
+    if found.get("alarm_k", -1) >= 0:
+        return ", and where Eve hears all as well: that must not be.", False
+    if _made(summary):
+        return "; where Eve hears all keys were made: that must not be.", False
+    if found.get("unwatched", 0) < ENOUGH:
+        return f"; where Eve hears all nothing is shown, for {_missed(summary)}.", None
+    line = (
+        ". Where Eve hears all, no key is made and nothing watches: the plant is "
+        f"then {away:.0f} away while the screen shows {shown:.1f}."
+    )
+    return line, True
+
+
+def _missed(summary: dict[str, Any]) -> str:
+    """How many steps the machine missed, as a line says it."""
+    return f"{summary['missed']} of {summary['steps']} steps missed"
+
+
+def _made(summary: dict[str, Any]) -> int:
+    """Keys that were distilled."""
+    return int((summary["keys"] or {}).get("made", 0))
+
+
+@dataclass(frozen=True)
+class Act:
+    """One of the runs.
+
+    Parameters
+    ----------
+    name : str
+        Its folder.
+    title : str
+        As the screen's first line begins.
+    about : str
+        What it is, for a line before it.
+    scenario : str
+        A shipped one.
+    verdict : callable
+        What the run shows, from its summary.
+    changes : mapping, optional
+        Of the scenario's fields.
+    attacked : bool, optional
+        Whether its sensor is spoofed.
+    goes_on : bool, optional
+        Whether its line goes on with that of the run before.
+    """
+
+    name: str
+    title: str
+    about: str
+    scenario: str
+    verdict: Callable[[dict[str, Any]], Verdict]
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    attacked: bool = False
+    goes_on: bool = False
+
+    def told(self, lines: list[str], line: str) -> list[str]:
+        """The verdict so far, with this run's line."""
+        return [*lines[:-1], lines[-1] + line] if self.goes_on else [*lines, line]
+
+
+ACTS: Final = (
+    Act(
+        "spoken",
+        "1/5 spoken",
+        "a message that the loop itself carries, a choice of four inputs a step, beside a "
+        "tap that hears all",
+        "packed",
+        _spoken,
+    ),
+    Act("keys", "2/5 keys", "keys distilled from what a tap that loses 30 % misses", "keys", _keys),
+    Act(
+        "control",
+        "3/5 comparison",
+        "the same beside a tap that hears all: no key may come of it",
+        "keys",
+        _control,
+        {**HEARS_ALL, "keys.eps_E": 0.0},
+    ),
+    Act(
+        "caught",
+        "4/5 attacked, secret key",
+        "a spoofed sensor where Eve misses 30 %, under keys distilled from that",
+        "watched",
+        _caught,
+        LISTENED,
+        attacked=True,
+    ),
+    Act(
+        "unseen",
+        "5/5 attacked, no key",
+        "the same where Eve hears all: the claim is refuted, and no key is made",
+        "watched",
+        _unseen,
+        LISTENED | HEARS_ALL,
+        attacked=True,
+        goes_on=True,
+    ),
+)
+
 
 def run_demo(args: argparse.Namespace) -> int:
     """Make each run and print the lines of verdict; 0 if each run came out as it must.
@@ -78,223 +219,81 @@ def run_demo(args: argparse.Namespace) -> int:
     args : argparse.Namespace
         Of ``wyner up``: ``json`` and ``run_dir`` are used.
     """
-    told = _acts(args)
-    if told.interrupted:
-        return INTERRUPTED
-    show(told, args, indent=3)
-    return DONE if told.good else FAILED
-
-
-@dataclass
-class _Outcome:
-    """What the acts came to, so far."""
-
-    lines: list[str] = field(default_factory=list)
-    summaries: dict[str, Any] = field(default_factory=dict)
-    good: bool = True
-    interrupted: bool = False
-    slower: int = 1
-
-    def to_json(self) -> dict[str, Any]:
-        """The verdict, whether every run came out as it must, and each run's summary."""
-        return {"verdict": self.lines, "as_it_must": self.good, "runs": self.summaries}
-
-    def __str__(self) -> str:
-        """A line of verdict for each run."""
-        return "\n".join(self.lines)
-
-
-def _acts(args: argparse.Namespace) -> _Outcome:
-    """The runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
-    told = _Outcome()
-    acts: tuple[tuple[str, Callable[..., Act]], ...] = (
-        ("spoken", _spoken),
-        ("keys", _keys),
-        ("control", _control),
-        ("caught", _caught),
-        ("unseen", _unseen),
-    )
-    for name, act in acts:
-        outcome, line, as_it_must = _shown(act, args, folder / name, told)
+    lines: list[str] = []
+    summaries: dict[str, Any] = {}
+    good, slower = True, 1
+    for act in ACTS:
+        outcome, as_it_must, slower = _shown(act, args.json, folder / act.name, lines, slower)
         if outcome.left:
-            line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
-        if name == "unseen" and not outcome.left:
-            told.lines.pop()  # its line is one with that of the run before
-        told.lines.append(line)
-        told.summaries[name] = outcome.summary
-        failed = bool(outcome.summary["failed"])
-        told.good = told.good and bool(as_it_must) and not outcome.left and not failed
+            lines.append(f"{act.title}: left before its end, so that nothing is shown by it.")
+        else:
+            lines = act.told(lines, act.verdict(outcome.figures)[0])
+        summaries[act.name] = outcome.figures
+        good = good and bool(as_it_must) and not outcome.left and not outcome.figures["failed"]
         if outcome.failure is not None:
             raise outcome.failure
-        told.interrupted = outcome.interrupted
-        if outcome.left or outcome.interrupted:
+        if outcome.interrupted:
+            return INTERRUPTED
+        if outcome.left:
             break
-    return told
+    figures = {"verdict": lines, "as_it_must": good, "runs": summaries}
+    show(Printout(figures, lines), args, indent=3)
+    return DONE if good else FAILED
 
 
 def _shown(
-    act: "Callable[..., Act]",
-    args: argparse.Namespace,
-    folder: Path,
-    told: _Outcome,
-) -> "Act":
-    """A run that showed something, or the slowest of those that did not."""
-    name = folder.name
+    act: Act, json: bool, folder: Path, lines: list[str], slower: int
+) -> tuple[Outcome, bool | None, int]:
+    """A run that showed something, or the slowest of those that did not; and its pace's divisor."""
     begins = "Controller, plant and tap start."
     while True:
-        if not args.json:
-            print(f"{TITLES[name]}: {ABOUT[name]}. {begins}", file=sys.stderr, flush=True)
-        outcome, line, as_it_must = act(args, folder, told)
+        if not json:
+            print(f"{act.title}: {act.about}. {begins}", file=sys.stderr, flush=True)
+        with _scenario(act) as scenario:
+            outcome = run_session(
+                _options(act, scenario, folder, slower, json=json),
+                epilogue=lambda summary: act.told(lines, act.verdict(summary)[0]),
+                stays=act is ACTS[-1],
+                title=act.title,
+            )
+        _, as_it_must = act.verdict(outcome.figures)
         ended = outcome.left or outcome.interrupted or outcome.failure is not None
-        if as_it_must is not None or ended or told.slower == SLOWEST:
-            return outcome, line, as_it_must
-        if not outcome.summary["missed"]:  # it was not the machine
-            return outcome, line, as_it_must
-        told.slower *= 2
+        if as_it_must is not None or ended or slower == SLOWEST:
+            return outcome, as_it_must, slower
+        if not outcome.figures["missed"]:  # it was not the machine
+            return outcome, as_it_must, slower
+        slower *= 2
         shutil.rmtree(folder)
-        begins = f"{_missed(outcome.summary)}: once more, at half the pace."
+        begins = f"{_missed(outcome.figures)}: once more, at half the pace."
 
 
-def _options(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:
-    """What one of the runs is asked to be."""
+def _options(act: Act, scenario: str, folder: Path, slower: int, *, json: bool) -> RunOptions:
+    """What a run is asked to be."""
     return RunOptions(
         scenario=scenario,
         run_dir=str(folder),
         message=SPOKEN,
-        pace=f"x{PACE / slower:g}",
-        steps=MOST_STEPS,
-        until_delivered=True,
-        json=args.json,
-    )
-
-
-Act = tuple[Outcome, str, bool | None]
-"""A run, its line, and whether it came out as it must: None where it shows nothing."""
-
-
-def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
-    options = _options(args, "packed", folder, told.slower)
-    outcome = run_session(options, stays=False, title=TITLES["spoken"])
-    summary = outcome.summary
-    had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
-    first = min((k for k in had if k >= 0), default=-1)
-    if not summary["delivered"]:
-        line = f"1. Spoken:  not delivered: {_missed(summary)}."
-        return outcome, line, None
-    line = (
-        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule, counted; "
-        f"the plant has it at step {summary['delivered_k']}, the tap at {first}."
-        if had
-        else "1. Spoken:  the tap has not got the message, and should have."
-    )
-    return outcome, line, bool(had)
-
-
-def _keys(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """Keys from what the tap misses."""
-    options = _options(args, "keys", folder, told.slower)
-    outcome = run_session(options, stays=False, title=TITLES["keys"])
-    keys = outcome.summary["keys"] or {}
-    made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
-    if not made:
-        return outcome, f"2. Keys:    none was made: {_missed(outcome.summary)}.", None
-    line = f"2. Keys:    {made} keys made. A tap that loses 30 % holds {held} bits."
-    return outcome, line, bool(held == 0)
-
-
-def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """The same with a tap that hears all: nothing may be claimed of it, and no key comes out."""
-    changes = {**HEARS_ALL, "keys.eps_E": 0.0}
-    with _scenario("wired-tap", "keys", changes) as scenario:
-        options = _options(args, scenario, folder, told.slower)
-        outcome = run_session(options, stays=False, title=TITLES["control"])
-    summary = outcome.summary
-    made = (summary["keys"] or {}).get("made", 0)
-    if made:
-        line = f"3. Compare: {made} keys beside a tap that hears all: that must not be."
-        return outcome, line, False
-    if not summary["delivered"]:
-        return outcome, f"3. Compare: nothing is shown, for {_missed(summary)}.", None
-    line = "3. Compare: where the eavesdropper hears everything, no key is made."
-    return outcome, line, True
-
-
-def _caught(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """A ghost at the sensor; Eve does not have the key that chooses the input."""
-    with _scenario("secret-key", "watched", LISTENED) as scenario:
-        options = _attacked(args, scenario, folder, told.slower)
-        outcome = run_session(options, stays=False, title=TITLES["caught"])
-    found = outcome.summary["attack"] or {}
-    delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
-    steps = f"{delay} step{'' if delay == 1 else 's'}"
-    line = "4. Attacked: a spoofed sensor is "
-    if caught:
-        line += f"caught {steps} after its onset under a secret key"
-        return outcome, line, not found.get("false_alarms")
-    line += "NOT caught"
-    if found.get("watched", 0) >= ENOUGH:
-        return outcome, line, False
-    return outcome, f"{line}, for no key was there in time ({_missed(outcome.summary)})", None
-
-
-def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """The same where Eve hears all: the claim is refuted, so that no key watches the sensor."""
-    before = tuple(told.lines)
-
-    def line_of(summary: dict[str, Any]) -> str:
-        found = summary["attack"] or {}
-        away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
-        if found.get("alarm_k", -1) >= 0:
-            return f"{before[-1]}, and where Eve hears all as well: that must not be."
-        if (summary["keys"] or {}).get("made", 0):
-            return f"{before[-1]}; where Eve hears all keys were made: that must not be."
-        if found.get("unwatched", 0) < ENOUGH:
-            return f"{before[-1]}; where Eve hears all nothing is shown, for {_missed(summary)}."
-        return (
-            f"{before[-1]}. Where Eve hears all, no key is made and nothing watches: the plant is "
-            f"then {away:.0f} away while the screen shows {shown:.1f}."
-        )
-
-    with _scenario("false-claim", "watched", LISTENED | HEARS_ALL) as scenario:
-        outcome = run_session(
-            _attacked(args, scenario, folder, told.slower),
-            epilogue=lambda summary: [*before[:-1], line_of(summary)],
-            title=TITLES["unseen"],
-        )
-    found = outcome.summary["attack"] or {}
-    unseen = found.get("alarm_k", 0) < 0 and not (outcome.summary["keys"] or {}).get("made", 0)
-    shown = found.get("unwatched", 0) >= ENOUGH or not unseen
-    return outcome, line_of(outcome.summary), unseen if shown else None
-
-
-def _missed(summary: dict[str, Any]) -> str:
-    """How many steps the machine missed, as a line says it."""
-    return f"{summary['missed']} of {summary['steps']} steps missed"
-
-
-def _attacked(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:
-    """What a run is asked to be whose sensor is spoofed."""
-    options = _options(args, scenario, folder, slower)
-    return replace(
-        options,
-        attack=f"ghost@{ONSET}",
-        steps=ONSET + SPOOFED,
-        pace=f"x{ATTACKED_PACE / slower:g}",
-        until_delivered=False,
+        pace=f"x{(ATTACKED_PACE if act.attacked else PACE) / slower:g}",
+        steps=ONSET + SPOOFED if act.attacked else MOST_STEPS,
+        until_delivered=not act.attacked,
+        attack=f"ghost@{ONSET}" if act.attacked else None,
+        json=json,
     )
 
 
 @contextmanager
-def _scenario(name: str, shipped: str, changes: Mapping[str, Any]) -> Iterator[str]:
-    """A file of a shipped scenario with some fields changed, for as long as a run needs it."""
+def _scenario(act: Act) -> Iterator[str]:
+    """The shipped scenario, or a file of it with some fields changed, for as long as it runs."""
     from wyner.api import vary
     from wyner.fit.toml import as_toml
 
-    changed = vary(scenario_of(shipped), changes)
+    if not act.changes:
+        yield act.scenario
+        return
+    changed = vary(scenario_of(act.scenario), act.changes)
     tables = json.loads(changed.model_dump_json(exclude_none=True, exclude_unset=True))
     with tempfile.TemporaryDirectory() as where:
-        path = Path(where) / f"{name}.toml"
+        path = Path(where) / f"{act.name}.toml"
         path.write_text(as_toml(tables), encoding="utf-8")
         yield str(path)

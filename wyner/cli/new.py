@@ -12,7 +12,6 @@ EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 """A mass that is pushed: A, B and the period where none are given; continuous."""
 
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-ROW: Final = rf"{NUMBER}(?:\s*,\s*{NUMBER}|\s+{NUMBER})*"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,18 +94,16 @@ def _matrix(option: str, text: str) -> list[list[float]]:
     """A matrix as a list of rows, as MATLAB writes it, or as NumPy prints it."""
     from protocol.scenario.reading import LARGEST_NUMBER
 
-    inner = re.sub(r"^\s*\[(.*)\]\s*$", r"\1", text, flags=re.DOTALL).strip()
-    if inner.startswith("["):
-        inner = re.sub(r"\]\s*,?\s*\[", ";", inner.removeprefix("[").removesuffix("]"))
-    rows = [row.strip() for row in re.split(r"[;\n]", inner.strip().removesuffix(";"))]
-    matrix = [[float(v) for v in re.split(r"[\s,]+", row)] for row in rows if fullmatch(ROW, row)]
-    whole = len(matrix) == len(rows) and text.count("[") == text.count("]")
+    bare = re.sub(r"\]\s*,?\s*\[", ";", text).strip("[] \t\n").removesuffix(";")
+    rows = [re.split(r"\s*,\s*|\s+", row.strip()) for row in re.split(r"[;\n]", bare)]
+    for i, row in enumerate(rows, 1):
+        for entry in row:
+            if entry and not fullmatch(NUMBER, entry):
+                raise UsageError(f"{option}: row {i}: {_short(entry)!r} is no number")
+    whole = len({len(row) for row in rows}) == 1 and text.count("[") == text.count("]")
+    matrix = [[float(entry or "nan") for entry in row] for row in rows]
     small = all(abs(v) <= LARGEST_NUMBER for row in matrix for v in row)
-    entries = [(i, v) for i, row in enumerate(rows, 1) for v in re.split(r"[\s,]+", row) if v]
-    no_number = next(((i, v) for i, v in entries if not fullmatch(NUMBER, v)), None)
-    if no_number is not None and not set(no_number[1]) & set("[];"):
-        raise UsageError(f"{option}: row {no_number[0]}: {_short(no_number[1])!r} is no number")
-    if not (whole and small and len({len(row) for row in matrix}) == 1):
+    if not (whole and small):
         raise UsageError(
             f"{option}: got {_short(text)!r}, expected rows of one length, such as "
             f"[[1, 0.1], [0, 1]] or [1 0.1; 0 1], of numbers up to {LARGEST_NUMBER:g}"

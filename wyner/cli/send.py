@@ -3,7 +3,6 @@
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from protocol.messages import SendCommand
 from protocol.text import printable
@@ -11,14 +10,9 @@ from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of
 from runtime.chance import new_id
 from runtime.errors import DONE, Failure, UsageError
 from runtime.options import message_of, picked
-from runtime.services import CONTROLLER_MANAGEMENT
-from wyner.cli.options import add_run_argument, is_told, joined
+from wyner.cli.joining import add_run_argument, joined
 from wyner.cli.results import add_json, show
-from wyner.deployment.running import names_of
 from wyner.deployment.sending import ask, queued
-
-if TYPE_CHECKING:
-    from wyner.deployment.running import RunningLoop
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
     told = picked(BusOptions, vars(args))
-    run, buses = joined(told, args.run_name, "operator", args.timeout)
-    _check_own(run, told, args.run_name)
+    run, buses = joined(told, args.run_name, "operator", args.timeout, own=True)
     loop = buses.loop
     ends = endpoints_of(buses, "operator")["management"]
     until = time.monotonic() + args.timeout
@@ -87,26 +80,3 @@ def run(args: argparse.Namespace) -> int:
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
         "start one (wyner up), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
     )
-
-
-def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None) -> None:
-    """Refuse a loop that nobody named and that is not of this folder: it may be a stranger's.
-
-    Raises
-    ------
-    UsageError
-        When it is another folder's run, or services that somebody started by hand.
-    """
-    if run_name is not None or is_told(told):
-        return
-    if run is None:
-        raise UsageError(
-            f"no run of this user on this machine, and services at {CONTROLLER_MANAGEMENT} that "
-            "may be anybody's; where they are meant expected "
-            f"--connect management={CONTROLLER_MANAGEMENT}"
-        )
-    if not Path(run.run_dir).is_relative_to(Path.cwd()):
-        raise UsageError(
-            f"the one run on this machine, {printable(run.run_dir)}, is not of this folder; where "
-            f"it is meant expected --run {printable(names_of([run]))}"
-        )

@@ -6,7 +6,8 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
@@ -26,6 +27,7 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import attack_option, scenario_in
 from wyner.deployment.one_machine import RunOptions, lay_out, text_of
+from wyner.printout import Printout
 
 if TYPE_CHECKING:
     from protocol.link.events import AttackBegan
@@ -41,25 +43,23 @@ GRACE_S: Final = 0.5
 """Seconds that the tap has for its last thoughts once the message has arrived."""
 
 
-class Outcome(NamedTuple):
-    """What a run came to, and how it ended."""
+@dataclass(frozen=True, eq=False)
+class Outcome(Printout):
+    """What a run came to, its summary, and how it ended.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    failure : Failure or None
+    interrupted : bool
+    left : bool
+        Whether the screen was left before the run had come to its end.
+    """
 
     scenario: "Scenario"
-    summary: dict[str, Any]
     failure: Failure | None
     interrupted: bool
     left: bool
-    """Whether the screen was left before the run had come to its end."""
-
-    def to_json(self) -> dict[str, Any]:
-        """The summary."""
-        return self.summary
-
-    def __str__(self) -> str:
-        """The summary in words; its last lines are the verdict."""
-        from wyner.runs.score.summary import render
-
-        return render(self.summary)
 
 
 def run_session(
@@ -87,7 +87,7 @@ def run_session(
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
     from wyner.runs.run import Run
-    from wyner.runs.score.summary import summarise, verdict_lines
+    from wyner.runs.score.summary import render, summarise, verdict_lines
     from wyner.runs.seal import seal
 
     _take_signals()
@@ -159,7 +159,8 @@ def run_session(
         why = f"{error.filename or run_dir}: {error.strerror}"
         failure = failure or Failure(f"{why}: the run was not sealed")
     interrupted, left = ending is Ending.INTERRUPTED, ending is Ending.QUIT
-    return Outcome(scenario, summary, failure, interrupted, left)
+    lines = render(summary).split("\n")
+    return Outcome(summary, lines, scenario, failure, interrupted, left)
 
 
 def _take_signals() -> None:

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
-    from wyner.sweeps.found import FoundBySweep
+    from wyner.sweeps.found import found_by_sweep
     from wyner.sweeps.grid import SweepError, eavesdroppers_of, load_sweep, points_of
     from wyner.sweeps.results import Results, key_of, ready_rows, summarise, write_ready
     from wyner.sweeps.running import name_of, run_sweep
@@ -99,11 +99,11 @@ def run(args: argparse.Namespace) -> int:
     rates = output.with_name(f"{output.stem}-rates.csv")
     if summaries:
         write_ready(rates, ready_rows(summaries, sweep.columns))
-    found = FoundBySweep(
+    found = found_by_sweep(
         name=sweep.name,
         output=output,
         rates=rates,
-        grid=tuple(sweep.columns),
+        grid=sweep.columns,
         rows=len(results.rows),
         new=len(results.rows) - before,
         points=summaries,

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if args.demo:
         return _demo(args)
     outcome = run_session(options.picked(RunOptions, vars(args)))
-    summary = outcome.summary
+    summary = outcome.figures
     show(outcome, args)
     if outcome.failure is not None:
         raise outcome.failure

@@ -69,7 +69,7 @@ def text_of(options: RunOptions) -> str:
 
     Raises
     ------
-    UsageError
+    UsageError, ScenarioError
         As :func:`runtime.scenario_file.scenario_of`.
     """
     scenario = scenario_of(options.scenario)

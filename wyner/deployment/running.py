@@ -18,9 +18,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from runtime.errors import UsageError
-from runtime.services import CONTROLLER_MANAGEMENT
-
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""
 
@@ -139,46 +136,3 @@ def listens(endpoint: str) -> bool:
     except OSError:
         return False
     return True
-
-
-def is_there(name: str | None) -> bool:
-    """Whether the loop that is named runs; without a name, whether any does.
-
-    As for :func:`chosen`, which says which one it is.
-    """
-    if name is not None:
-        return any(loop.is_called(name) for loop in running_loops())
-    return bool(running_loops()) or listens(CONTROLLER_MANAGEMENT)
-
-
-def chosen(name: str | None) -> RunningLoop | None:
-    """The loop to join: the one named, the only one, or None for services started by hand.
-
-    Parameters
-    ----------
-    name : str, optional
-        What ``--run`` says: a run's folder, or the last parts of it.
-
-    Raises
-    ------
-    UsageError
-        When none is named so, or several are, or several run and none was named.
-    """
-    loops = running_loops()
-    names = names_of(loops)
-    if name is not None:
-        found = [loop for loop in loops if loop.is_called(name)]
-        if len(found) == 1:
-            return found[0]
-        many = f"{len(found)} runs end in {name!r}" if found else f"no run {name!r}"
-        raise UsageError(f"--run: {many} on this machine, running now: {names}")
-    if not loops:
-        return None
-    if len(loops) > 1:
-        raise UsageError(f"{len(loops)} runs on this machine, expected --run with one of: {names}")
-    if listens(CONTROLLER_MANAGEMENT):
-        raise UsageError(
-            f"two loops on this machine: run {names}, and services at {CONTROLLER_MANAGEMENT}; "
-            f"expected --run {names}, or --connect for the other"
-        )
-    return loops[0]

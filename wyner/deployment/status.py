@@ -15,7 +15,6 @@ from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED, PROVED
 from runtime.errors import UsageError
 from runtime.files import read_regular
-from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
 from runtime.services import SERVICES
@@ -67,8 +66,8 @@ def _of_run(run_dir: Path) -> StatusReport:
     if not written:
         expected = f"expected a run's folder, with {PLANT_STATUS} or {CONTROLLER_STATUS}"
         raise UsageError(f"{run_dir}: no service has reported there; {expected}")
-    plant = _end(run_dir / PLANT_STATUS, PlantStatus)
-    controller = _end(run_dir / CONTROLLER_STATUS, ControllerStatus)
+    plant = _end(run_dir / PLANT_STATUS, written.get("plant"), PlantStatus)
+    controller = _end(run_dir / CONTROLLER_STATUS, written.get("controller"), ControllerStatus)
     claim, of_one = _claim(run_dir)
     distance = 0.0 if plant is None else of_one * plant.keys.begun
     lines: list[str] = []
@@ -98,12 +97,12 @@ def _warned(text: str) -> str:
     return f"warning: {text}"
 
 
-def _end(path: Path, kind: type[S]) -> S | None:
+def _end(path: Path, told: dict[str, Any] | None, kind: type[S]) -> S | None:
     """An end's status; None where it has written none."""
-    if not path.exists():
+    if told is None:
         return None
     try:
-        return read_status(path, kind)
+        return kind.model_validate({name: v for name, v in told.items() if name != "health"})
     except ValidationError as error:
         wrong = f"{error.error_count()} fields of a status are wrong"
         raise UsageError(f"{path}: {wrong}") from None
@@ -173,30 +172,28 @@ def _of_controller(controller: ControllerStatus) -> Iterator[str]:
         )
 
 
-def _warnings_of_plant(plant: PlantStatus) -> Iterator[str]:
+def _warnings_of_plant(plant: PlantStatus) -> list[str]:
     step, keys = plant.step, plant.keys
-    if plant.detail:
-        yield plant.detail
-    if step.outside:
-        yield f"d was outside D_c in {step.outside} steps"
-    if step.symbol_errors:
-        yield f"{step.symbol_errors} agreed keys are not the input that was applied"
-    if keys.stopped:
-        yield f"keys stopped: {keys.stopped}"
-    if keys.refused:
-        yield f"keys: {keys.refused}"
+    found = {
+        plant.detail: plant.detail,
+        f"d was outside D_c in {step.outside} steps": step.outside,
+        f"{step.symbol_errors} agreed keys are not the input that was applied": step.symbol_errors,
+        f"keys stopped: {keys.stopped}": keys.stopped,
+        f"keys: {keys.refused}": keys.refused,
+    }
+    return [text for text, is_so in found.items() if is_so]
 
 
-def _warnings_of_controller(
-    controller: ControllerStatus, plant: PlantStatus | None
-) -> Iterator[str]:
-    if alarms := controller.alarms.sentence():
-        yield alarms
-    if controller.step.unexplained:
-        yield f"{controller.step.unexplained} transitions that no candidate explains"
-    stopped = controller.keys.stopped
-    if stopped and (plant is None or not plant.keys.stopped):
-        yield f"keys stopped at the controller: {stopped}"
+def _warnings_of_controller(controller: ControllerStatus, plant: PlantStatus | None) -> list[str]:
+    unexplained, stopped = controller.step.unexplained, controller.keys.stopped
+    alarms = controller.alarms.sentence()
+    alone = stopped and (plant is None or not plant.keys.stopped)
+    found = {
+        alarms: alarms,
+        f"{unexplained} transitions that no candidate explains": unexplained,
+        f"keys stopped at the controller: {stopped}": alone,
+    }
+    return [text for text, is_so in found.items() if is_so]
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
@@ -215,13 +212,11 @@ def _warnings_of_tap(name: str, told: dict[str, Any]) -> Iterator[str]:
     if "unused" in told and deaf_share(told["unused"], told["steps"]):
         unused = unused_in_words(told["unused"])
         yield f"eavesdropper {name}: not used of what the tap heard: {unused}"
-    keys = told.get("keys")
-    if not keys:
-        return
-    if keys["bits"]:
-        yield f"the tap holds {keys['bits']} bits of keys"
-    if keys["refuted"]:
+    if keys := told.get("keys"):
         share = f"{keys['at_most']:.2g} of the {keys['direction']}"
-        yield f"the tap misses {share} at most: the operator's claim is refuted"
-    if keys["bursts"]:
-        yield "the tap's misses come in bursts"
+        found = {
+            f"the tap holds {keys['bits']} bits of keys": keys["bits"],
+            f"the tap misses {share} at most: the operator's claim is refuted": keys["refuted"],
+            "the tap's misses come in bursts": keys["bursts"],
+        }
+        yield from (text for text, is_so in found.items() if is_so)

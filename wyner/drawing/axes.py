@@ -1,13 +1,11 @@
 """Drawings on axes of the user's own: data come as arrays, the rest of the figure is theirs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from protocol.arrays import Array
-from protocol.statistics import Interval
 
 
 def closed(points: Array) -> Array:
@@ -69,26 +67,3 @@ def hull(points: Array) -> Array:
     from scipy.spatial import ConvexHull
 
     return closed(points[ConvexHull(points).vertices])
-
-
-def draw_states(axes: Axes, x: Array, period_s: float, agreed: NDArray[np.intp]) -> None:
-    """States of shape (steps + 1, n) over time; ``agreed`` has the steps to mark."""
-    time_s = period_s * np.arange(len(x))
-    for i in range(x.shape[1]):
-        axes.plot(time_s, x[:, i], lw=1, label=f"$x_{i + 1}$")
-    axes.plot(time_s[agreed + 1], np.zeros(len(agreed)), "|", color="k", ms=8, label="key agreed")
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("state")
-    axes.legend(fontsize="small")
-
-
-def draw_rate(axes: Axes, alphas: Array, rates: Sequence[Interval], label: str) -> None:
-    """A rate with its band against alpha."""
-    (line,) = axes.plot(alphas, [r.value for r in rates], lw=1.4, label=label)
-    axes.fill_between(
-        alphas, [r.low for r in rates], [r.high for r in rates], color=line.get_color(), alpha=0.2
-    )
-    axes.set_xlabel(r"$\alpha$")
-    axes.set_ylabel("message rate (bit/s), which is not secrecy")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small")

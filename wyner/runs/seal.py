@@ -88,51 +88,40 @@ def is_sealed(manifest: dict[str, Any] | None) -> bool:
 
 
 def broken(run_dir: Path, manifest: dict[str, Any] | None) -> Iterator[tuple[str, str]]:
-    """Each file that the seal names: its name, and what is wrong with it (empty: nothing).
+    """Each file that is not as the seal says: its name, and what is wrong with it.
 
     A run that was killed as a whole has neither summary nor seal, and nothing is given. Of a
-    service that was started again since, only what it appends to can be held to the seal.
+    service that was started again since, so that a recording of its went on, only what it appends
+    to can be held to the seal. The recording's marks say whether another life begins there.
     """
     manifest = manifest or {}
     if not is_sealed(manifest):
         if (run_dir / SUMMARY).exists() or FILES in manifest or ITSELF in manifest:
             yield MANIFEST.name, "the run was summed up, and its seal is gone"
         return
-    same = manifest[ITSELF] == _digest_of(manifest)
-    yield MANIFEST.name, "" if same else CHANGED
+    if manifest[ITSELF] != _digest_of(manifest):
+        yield MANIFEST.name, CHANGED
     files = {name: held for name, held in manifest[FILES].items() if isinstance(held, dict)}
-    went_on = went_on_in(run_dir, manifest)
+    went_on = {Path(name).parent for name, held in files.items() if _longer(run_dir / name, held)}
     for name, held in files.items():
         path = run_dir / name
         if name == str(SUMMARY) and not path.exists():
             path = run_dir / COMING
-        if name.rpartition("/")[0] in went_on:
-            if name.endswith(".jsonl") and path.is_file():
-                begins = _digest(path, held.get("bytes"))
-                yield name, "" if begins == held.get("sha256") else CHANGED
+        if Path(name).parent in went_on:
+            appended = path.suffix == ".jsonl" and path.is_file()
+            if appended and _digest(path, held.get("bytes")) != held.get("sha256"):
+                yield name, CHANGED
         elif not path.is_file():
             yield name, "it was there when the run was over"
-        else:
-            yield name, "" if _held(path) == held else CHANGED
+        elif _held(path) != held:
+            yield name, CHANGED
 
 
-def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
-    """The folders of services that were started again after the seal: their recordings went on.
-
-    Each recording's marks say whether another life of its writer begins there.
-    """
-    if not is_sealed(manifest):
-        return set()
-    assert manifest is not None
-    found = set()
-    for name, held in manifest[FILES].items():
-        path = run_dir / name
-        if not name.endswith(".jsonl") or not isinstance(held, dict) or not path.is_file():
-            continue
-        size = held.get("bytes")
-        if isinstance(size, int) and path.stat().st_size > size:
-            found.add(name.rpartition("/")[0])
-    return found
+def _longer(path: Path, held: Held) -> bool:
+    """Whether a recording went on after it was sealed."""
+    size = held.get("bytes")
+    recorded = path.suffix == ".jsonl" and path.is_file()
+    return recorded and isinstance(size, int) and path.stat().st_size > size
 
 
 def evidence_below(run_dir: Path) -> list[Path]:

@@ -2,89 +2,80 @@
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from protocol.statistics import STATED
 from protocol.text import aligned
+from wyner.printout import Printout
 from wyner.sweeps.results import Summary
 
 
-@dataclass(frozen=True)
-class FoundBySweep:
-    """The points of a sweep, each with all its rows added up.
+def found_by_sweep(
+    name: str,
+    output: Path,
+    rates: Path,
+    grid: Sequence[str],
+    rows: int,
+    new: int,
+    points: Sequence[Summary],
+) -> Printout:
+    """An object for each point; tables of the points, their rates and their eavesdroppers.
 
     Parameters
     ----------
     name : str
     output, rates : Path
         The rows, and the table of rates with their intervals.
-    grid : tuple of str
+    grid : sequence of str
         The fields that the sweep varies.
     rows, new : int
         Rows in the file, and how many of them are new.
-    points : tuple of Summary
+    points : sequence of Summary
+        Each with all its rows added up.
     """
+    numbered = [(str(number), s) for number, s in enumerate(points, start=1)]
+    where = ["scenario", "variant", *grid]
+    lines = _table(
+        ["point", *where],
+        [[number, *(str(s.first[name]) for name in where)] for number, s in numbered],
+    )
+    head = ["point", "runs", "bit/s", "secret", "x'x", "u'u", "mistaken"]
+    lines += ["", *_table(head, [[number, *_loop(s)] for number, s in numbered])]
+    lines.append("secret: bit/s that the strongest eavesdropper leaves, at most")
+    taps = [[number, *row] for number, s in numbered for row in _taps(s)]
+    if taps:
+        head = ["point", "eavesdropper", "keys right", "messages read"]
+        lines += ["", *_table(head, taps)]
+    lines += [
+        "",
+        f"{rows} rows, {new} of them new: {output}",
+        f"Rates and intervals, a row a point: {rates}",
+        f"Draw them: wyner sweep {rates} --plot",
+    ]
+    figures = [_point(s, grid) for s in points]
+    found = {"sweep": name, "output": str(output), "new_rows": new, "points": figures}
+    return Printout(found, lines)
 
-    name: str
-    output: Path
-    rates: Path
-    grid: tuple[str, ...]
-    rows: int
-    new: int
-    points: Sequence[Summary]
 
-    def to_json(self) -> dict[str, Any]:
-        """An object for each point."""
-        points = []
-        for s in self.points:
-            rate = s.rate.as_json()
-            why = {"no_interval": rate["no_interval"]} if "no_interval" in rate else {}
-            points.append(
-                {
-                    **{name: s.first[name] for name in ("task", "scenario", "variant")},
-                    "fields": {field: json.loads(s.first[field]) for field in self.grid},
-                    "runs": s.runs,
-                    "bits_per_second": rate["value"],
-                    "interval_95": [rate["low"], rate["high"]],
-                    **why,
-                    "secret": {
-                        "bits_per_second_at_most": s.secret,
-                        "no_interval": {"bits_per_second_at_most": STATED},
-                    },
-                    "costs": {name: cost.as_json() for name, cost in s.costs.items()},
-                    "shares": {name: share.as_json() for name, share in s.shares.items()},
-                    **s.counts,
-                }
-            )
-        output = str(self.output)
-        return {"sweep": self.name, "output": output, "new_rows": self.new, "points": points}
-
-    def __str__(self) -> str:
-        """Tables of the points, their rates and their eavesdroppers, and where the files are."""
-        numbered = [(str(number), s) for number, s in enumerate(self.points, start=1)]
-        where = ["scenario", "variant", *self.grid]
-        lines = _table(
-            ["point", *where],
-            [[number, *(str(s.first[name]) for name in where)] for number, s in numbered],
-        )
-        head = ["point", "runs", "bit/s", "secret", "x'x", "u'u", "mistaken"]
-        lines += ["", *_table(head, [[number, *_loop(s)] for number, s in numbered])]
-        lines.append("secret: bit/s that the strongest eavesdropper leaves, at most")
-        taps = [[number, *row] for number, s in numbered for row in _taps(s)]
-        if taps:
-            head = ["point", "eavesdropper", "keys right", "messages read"]
-            lines += ["", *_table(head, taps)]
-        return "\n".join(
-            [
-                *lines,
-                "",
-                f"{self.rows} rows, {self.new} of them new: {self.output}",
-                f"Rates and intervals, a row a point: {self.rates}",
-                f"Draw them: wyner sweep {self.rates} --plot",
-            ]
-        )
+def _point(s: Summary, grid: Sequence[str]) -> dict[str, Any]:
+    rate = s.rate.as_json()
+    why = {"no_interval": rate["no_interval"]} if "no_interval" in rate else {}
+    return {
+        **{name: s.first[name] for name in ("task", "scenario", "variant")},
+        "fields": {field: json.loads(s.first[field]) for field in grid},
+        "runs": s.runs,
+        "bits_per_second": rate["value"],
+        "interval_95": [rate["low"], rate["high"]],
+        **why,
+        "secret": {
+            "bits_per_second_at_most": s.secret,
+            "no_interval": {"bits_per_second_at_most": STATED},
+        },
+        "costs": {name: cost.as_json() for name, cost in s.costs.items()},
+        "shares": {name: share.as_json() for name, share in s.shares.items()},
+        **s.counts,
+    }
 
 
 def _loop(s: Summary) -> list[str]:

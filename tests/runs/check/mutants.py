@@ -1,6 +1,5 @@
 """Every way in which one recorded field of one file of a run can be otherwise."""
 
-import copy
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -39,9 +38,14 @@ class Mutant:
         """Which one it is."""
         return f"{self.file}: {self.kind} {self.field} {self.how}"
 
-    def apply(self, folder: Path) -> None:
-        """Write the file."""
-        write_lines(folder / self.file, self.lines)
+
+def failed_by(m: Mutant, folder: Path) -> set[str]:
+    """The rules that a run fails with this change. The folder is left as it was."""
+    before = (folder / m.file).read_bytes()
+    write_lines(folder / m.file, m.lines)
+    found = failed(folder)
+    (folder / m.file).write_bytes(before)
+    return found
 
 
 def kind_of(line: dict[str, Any]) -> str:
@@ -122,39 +126,22 @@ def unnoticed(folder: Path, file: Path, fields: Mapping[str, Collection[str]]) -
 
     The folder is left as it was.
     """
-    known, before = failed(folder), (folder / file).read_bytes()
-    found = []
-    for m in of_file(folder, file):
-        if m.field in fields.get(m.kind.partition(" ")[0], ()) and m.how in (
-            "small",
-            "large",
-            "deleted",
-        ):
-            m.apply(folder)
-            if failed(folder) <= known:
-                found.append(m.name)
-    (folder / file).write_bytes(before)
-    return found
+    known = failed(folder)
+    return [
+        m.name
+        for m in of_file(folder, file)
+        if m.field in fields.get(m.kind.partition(" ")[0], ())
+        and m.how in ("small", "large", "deleted")
+        and failed_by(m, folder) <= known
+    ]
 
 
 def of_file(folder: Path, file: Path) -> Iterator[Mutant]:
     """Every mutant of a recording."""
     lines = read_lines(folder / file)
     for kind, at in places(lines).items():
-        body = lines[at].get("message", lines[at])
-        for field in body:
-            for how, alter in ALTERATIONS.items():
-                if alter(body[field]) != body[field]:
-                    yield _changed(lines, file, kind, at, field, how, alter(body[field]))
-            yield _changed(lines, file, kind, at, field, "deleted", None, delete=True)
-        yield _changed(lines, file, kind, at, "unheard_of", "added", 1)
-        if "message" in lines[at]:
-            for field in ("t_ns", "topic"):
-                new = copy.deepcopy(lines)
-                new[at][field] = small(new[at][field])
-                yield Mutant(file, kind, field, "small", new)
-        yield Mutant(file, kind, "", "deleted", lines[:at] + lines[at + 1 :])
-        yield Mutant(file, kind, "", "repeated", [*lines[: at + 1], *lines[at:]])
+        for field, how, instead in _of_line(lines[at]):
+            yield Mutant(file, kind, field, how, [*lines[:at], *instead, *lines[at + 1 :]])
         if at + 1 < len(lines):
             swapped = [*lines[:at], lines[at + 1], lines[at], *lines[at + 2 :]]
             yield Mutant(file, kind, "", "swapped", swapped)
@@ -162,25 +149,24 @@ def of_file(folder: Path, file: Path) -> Iterator[Mutant]:
         yield Mutant(file, "", "", f"cut after {cut} of {len(lines)}", lines[:cut])
 
 
-def _changed(
-    lines: Lines,
-    file: Path,
-    kind: str,
-    at: int,
-    field: str,
-    how: str,
-    value: object,
-    *,
-    delete: bool = False,
-) -> Mutant:
-    new = [*lines]
-    new[at] = copy.deepcopy(new[at])
-    body = new[at].get("message", new[at])
-    if delete:
-        del body[field]
-    else:
-        body[field] = value
-    return Mutant(file, kind, field, how, new)
+def _of_line(line: dict[str, Any]) -> Iterator[tuple[str, str, Lines]]:
+    """What may stand instead of a line: the field that differs, how, and the lines."""
+    body = line.get("message", line)
+
+    def whole(changed: dict[str, Any]) -> Lines:
+        return [line | {"message": changed} if "message" in line else changed]
+
+    for field, value in body.items():
+        for how, alter in ALTERATIONS.items():
+            if alter(value) != value:
+                yield field, how, whole(body | {field: alter(value)})
+        yield field, "deleted", whole({k: v for k, v in body.items() if k != field})
+    yield "unheard_of", "added", whole(body | {"unheard_of": 1})
+    if "message" in line:
+        for field in ("t_ns", "topic"):
+            yield field, "small", [line | {field: small(line[field])}]
+    yield "", "deleted", []
+    yield "", "repeated", [line, line]
 
 
 def of_manifest(folder: Path) -> Iterator[Mutant]:

@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,24 +23,9 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tests.support.checked_runs import failed
-from tests.support.ended_run import ended_run
-from tests.support.lines import unmark
+from tests.support.lines import unmarked
 from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines
 from wyner.runs.check import RULES
-
-Line = dict[str, Any]
-
-
-def unmarked(folder: Path) -> Path:
-    """As if all processes had been killed: no end mark counts the lines."""
-    for name in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE):
-        unmark(folder / name)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return unmarked(ended_run(tmp_path_factory.mktemp("runs") / "plain", (b"",)).folder)
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +39,6 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def made(lines: Lines) -> Lines:
     return [line for line in lines if line["event"] == "transition"]
-
-
-def numbered(lines: Lines, j: int) -> Line:
-    return next(t for t in made(lines) if t["j"] == j)
 
 
 def on_the_bus(lines: Lines, topic: str) -> Lines:
@@ -75,12 +55,11 @@ def whole(folder: Path) -> None:
 
 
 def replay(folder: Path) -> None:
+    def change(lines: Lines) -> None:
+        next(t for t in made(lines) if t["j"] == 40)["gauges"][0] *= 1 + 1e-15
+
     for name in (PLANT_TRACE, CONTROLLER_TRACE):
-        edit(folder / name, lambda lines: _raised(numbered(lines, 40)["gauges"]))
-
-
-def _raised(gauges: list[float]) -> None:
-    gauges[0] *= 1 + 1e-15
+        edit(folder / name, change)
 
 
 def plant(folder: Path) -> None:
@@ -138,9 +117,10 @@ def wire(folder: Path) -> None:
 
 
 def in_step(folder: Path) -> None:
-    edit(
-        folder / CONTROLLER_TRACE, lambda lines: made(lines)[-1].update(k=made(lines)[-1]["k"] + 1)
-    )
+    def change(lines: Lines) -> None:
+        made(lines)[-1]["k"] += 1
+
+    edit(folder / CONTROLLER_TRACE, change)
 
 
 def once(folder: Path) -> None:
@@ -185,7 +165,7 @@ def test_every_rule_has_one() -> None:
 def test_a_change_that_one_rule_alone_names(
     request: pytest.FixtureRequest, tmp_path: Path, change: Callable[[Path], None]
 ) -> None:
-    run: Path = request.getfixturevalue("keyed" if change in OF_KEYED else "plain")
+    run: Path = request.getfixturevalue("keyed" if change in OF_KEYED else "killed")
     folder = Path(shutil.copytree(run, tmp_path / "run"))
     assert failed(folder) == set()
     change(folder)

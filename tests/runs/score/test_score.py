@@ -10,20 +10,20 @@ from typing import Any
 
 import pytest
 
-from protocol.link.events import NEW_JOURNAL
-from protocol.statistics import NO_RUNS, stated_left
-from runtime.recording import TraceWriter
-from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
-from runtime.shipped import SCENARIOS
+from protocol.statistics import NO_RUNS, Interval, stated_left
+from runtime.run_folder import BELIEFS, GUESSES
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, Belief
 from tests.support import traced
+from wyner.drawing.secrecy import draw_report
+from wyner.drawing.style import svg_of
 from wyner.runs.run import Run
 from wyner.runs.score import words
-from wyner.runs.score.report import percent, report
+from wyner.runs.score.report import Report, TapReport, percent, report
 from wyner.runs.score.score import (
     DEAF,
     SILENT,
     UNFINISHED,
+    EavesdropperScore,
     Proportion,
     RunScore,
     ScoreError,
@@ -51,6 +51,17 @@ def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> 
     solved_k = 20 if whole else -1
     belief = Belief(b"word", found, len(found), 0.5, 7, solved_k)
     return TapOutput(name, S, live, {}, belief, tuple(symbols.items()))
+
+
+def left(tap: TapReport | None) -> Interval:
+    """Bits that an eavesdropper leaves, who is scored."""
+    assert tap is not None
+    assert tap.left_bits is not None
+    return tap.left_bits
+
+
+def one_run(t: Truth, *scores: EavesdropperScore) -> Report:
+    return report([RunScore("r", t, scores)])
 
 
 def believing(one: TapOutput, symbols: dict[int, int]) -> TapOutput:
@@ -102,11 +113,10 @@ def test_a_tap_that_was_deaf_for_most_of_a_run_keeps_no_secret(stated: float | N
     deaf = replace(whole, live={at: v for at, v in whole.live.items() if at[1] < 60})
     s = score(t, replace(deaf, belief=believed))
     assert (s.keys, s.silent) == (Proportion(30, 30), 290)
-    r = report([RunScore("r", t, (s,))])
+    r = one_run(t, s)
     (tap,) = r.taps
     assert (tap.silent_steps, tap.silent_bits) == (290, 290.0)
-    assert tap.left_bits is not None
-    assert tap.left_bits.high < 10.0
+    assert left(tap).high < 10.0
     assert "of the 30 that it could use" in r.verdict()
     assert "and of 290 bits nobody knows" in r.verdict()
     assert any(line.startswith("could not use 290 of 320") for line in words.remarks(tap))
@@ -114,12 +124,11 @@ def test_a_tap_that_was_deaf_for_most_of_a_run_keeps_no_secret(stated: float | N
     assert (told["silent_steps"], told["silent_bits"]) == (290, 290.0)
     # one who heard all and knows less is the stronger one: more is known of her
     half = score(t, said(250, 320, name="half"))
-    both = report([RunScore("r", t, (s, half))])
-    assert both.strongest is not None
-    assert both.strongest.name == "half"
+    both = one_run(t, s, half)
+    assert both.strongest is both.taps[1]
     nothing = score(t, replace(deaf, live={(S, 1): 0}, belief=believed))
     assert nothing.why_unscored == DEAF
-    assert report([RunScore("r", t, (nothing,))]).strongest is None
+    assert one_run(t, nothing).strongest is None
 
 
 def test_steps_of_which_a_tap_lacked_a_message_are_silence_and_not_secrets() -> None:
@@ -148,7 +157,7 @@ def test_what_she_knows_counts_and_not_how_she_names_it(size: int, keys: int) ->
     assert s.keys.right <= 3
     assert (s.known.named, s.known.right, s.known.of) == (s.keys.right, keys - 3, keys)
     assert RunScore("r", t, (s,)).to_json()["mirror"]["symbols_known"] == (keys - 3) / keys
-    r = report([RunScore("r", t, (s,))])
+    r = one_run(t, s)
     (tap,) = r.taps
     assert r.exceeds
     assert "PAPER'S RULE EXCEEDS TRUE" in r.verdict()
@@ -158,8 +167,7 @@ def test_what_she_knows_counts_and_not_how_she_names_it(size: int, keys: int) ->
         == (keys - 3) / keys
         < tap.guessing_probability.high
     )
-    assert tap.left_bits is not None
-    assert tap.left_bits.high < 0.2 * r.claimed_bits
+    assert left(tap).high < 0.2 * r.claimed_bits
     assert tap.symbol_error_rate.value > 0.99  # as she names them
     assert any("relabelled" in line for line in words.remarks(tap))
     # each run has a labelling of its own, as each run's model may be mirrored or not
@@ -198,9 +206,8 @@ def test_the_report_pools_runs() -> None:
     assert not t.exact_message_rate.known  # two runs have no interval over runs, and say so
     assert percent(t.exact_message_rate) == "50.0 % (no interval)"
     assert t.guessing_probability.value == 0.75
-    assert t.left_bits is not None
-    assert t.left_bits.value == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
-    assert t.left_bits.high == 10  # 15 of 20 may be chance, as often as one looks
+    assert left(t).value == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
+    assert left(t).high == 10  # 15 of 20 may be chance, as often as one looks
     assert t.broken_at_k == (-1, 20)
     assert t.median_broken == 20
     assert r.hidden_bits == pytest.approx(math.log2(41))
@@ -221,6 +228,14 @@ def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> N
     assert "No key was agreed by the paper's rule" in report([nothing]).verdict()
 
 
+def test_a_report_in_which_nothing_counts_and_nobody_is_scored_is_drawn() -> None:
+    """The page of a sealed run came with a warning that there was no room for its figure."""
+    t = Truth(2, {}, {}, (), 50)
+    taps = (score(t, replace(said(0, name=f"tap {i}"), live={})) for i in range(5))
+    r = one_run(t, *taps)
+    assert b"<svg" in svg_of((7.6, 2.0), lambda axes: draw_report(axes, r))
+
+
 def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:
     """A tap that raised at step 21 ended as "True: 77, measured"; one for keys left "3198.0"."""
     t = truth()
@@ -228,14 +243,14 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
     keys = score(t, replace(said(0, name="key-solver"), live={}))
     weak = score(t, said(5, name="weak"))
     assert failed.keys.share is failed.bits.share is None
-    r = report([RunScore("r", t, (failed, keys))])
+    r = one_run(t, failed, keys)
     assert r.strongest is None
     assert r.unscored == {
         "tap": "it failed: step 21: ValueError: no idea",
         "key-solver": SILENT,
     }
     assert "; tap: it failed: step 21: ValueError: no idea, so they" in r.verdict()
-    only_keys = report([RunScore("r", t, (keys,))])
+    only_keys = one_run(t, keys)
     assert "10 bits count as secret; nobody guessed, so they stand untested" in only_keys.verdict()
     value = only_keys.to_json()["taps"]["key-solver"]
     assert value["left_bits"] is None
@@ -243,9 +258,8 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
     assert value["symbol_error_rate"]["no_interval"]
     assert words.guess_rows(only_keys.taps)[0][1:3] == ("-", "-")
     assert words.secrecy_rows(only_keys.taps)[0][1:4] == ("-", "-", "-")
-    with_weak = report([RunScore("r", t, (failed, weak))])
-    assert with_weak.strongest is not None
-    assert with_weak.strongest.name == "weak"
+    with_weak = one_run(t, failed, weak)
+    assert with_weak.strongest is with_weak.taps[1]
     # in one of two runs she failed: what she would have left of that one nobody knows
     twice = report([RunScore("r", t, (failed,)), run_score(10)])
     assert twice.strongest is None
@@ -254,20 +268,18 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
 
 def test_what_she_had_before_she_failed_counts() -> None:
     before = replace(said(10, whole=True), failed="step 25: ValueError: late", heard_out=False)
-    r = report([RunScore("r", truth(), (score(truth(), before),))])
+    r = one_run(truth(), score(truth(), before))
     assert r.exceeds
-    assert r.strongest is not None
-    assert r.strongest.left_bits == (0.0, 0.0, 0.0)
+    assert left(r.strongest) == (0.0, 0.0, 0.0)
 
 
 def test_one_who_did_not_finish_is_called_so_and_another_leads() -> None:
     stopped = replace(said(10), heard_out=False, belief=replace(said(10).belief, bits_left=44.0))
     weak = said(5, name="weak")
-    r = report([RunScore("r", truth(), (score(truth(), stopped), score(truth(), weak)))])
-    assert r.strongest is not None
-    assert r.strongest.name == "weak"
-    assert [t.unscored for t in r.taps if t.name == "tap"] == [UNFINISHED]
-    alone = report([RunScore("r", truth(), (score(truth(), stopped),))])
+    r = one_run(truth(), score(truth(), stopped), score(truth(), weak))
+    assert r.strongest is r.taps[1]
+    assert r.taps[0].unscored == UNFINISHED
+    alone = one_run(truth(), score(truth(), stopped))
     assert UNFINISHED in alone.verdict(), "nobody may say that she guessed nothing"
 
 
@@ -275,28 +287,20 @@ def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     one = said(5)
     believed = replace(one.belief, bits_left=3.25, given="English sentences")
     told = score(truth(), replace(one, belief=believed))
-    r = report([RunScore("r", truth(), (told, score(truth(), said(5, name="weak"))))])
-    assert r.strongest is not None
-    assert (r.strongest.name, r.strongest.left_bits) == ("tap", stated_left(3.25, 10.0))
+    r = one_run(truth(), told, score(truth(), said(5, name="weak")))
+    assert r.strongest is r.taps[0]
+    assert left(r.strongest) == stated_left(3.25, 10.0)
     high = stated_left(3.25, 10.0).high
     accounts = f"({high:.1f} given English sentences, by keys alone 10.0)"
     assert accounts in r.verdict()
     (remark,) = words.remarks(r.strongest)
     assert "bits left, given English sentences; by its keys" in remark
-    assert r.strongest.left_bits is not None
-    assert (
-        r.strongest.left_bits.low
-        == 0.0
-        < r.strongest.left_bits.value
-        == 3.25
-        < r.strongest.left_bits.high
-    )
+    assert left(r.strongest)[:2] == (3.25, 0.0)
+    assert left(r.strongest).high > 3.25
     assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance
     more = score(truth(), replace(one, belief=replace(one.belief, bits_left=1651.9)))
-    r = report([RunScore("r", truth(), (more,))])
-    assert r.strongest is not None
-    assert r.strongest.left_bits is not None
-    assert r.strongest.left_bits.high == 10.0, "no more than the agreed keys are left"
+    r = one_run(truth(), more)
+    assert left(r.strongest).high == 10.0, "no more than the agreed keys are left"
 
 
 @pytest.mark.parametrize("size", [2, 4, 16])
@@ -310,11 +314,9 @@ def test_a_blind_tap_leaves_all(keys: int, size: int) -> None:
     lucky = 0
     for _ in range(40):
         live = {at: draw.randrange(size) for at in t.keys}
-        r = report([RunScore("r", t, (score(t, TapOutput("blind", S, live, {}, Belief())),))])
-        assert r.strongest is not None
-        assert r.strongest.left_bits is not None
+        r = one_run(t, score(t, TapOutput("blind", S, live, {}, Belief())))
         assert not r.taps[0].relabelled
-        assert r.exceeds == (r.strongest.left_bits.high < keys * math.log2(size) - 1e-9)
+        assert r.exceeds == (left(r.strongest).high < keys * math.log2(size) - 1e-9)
         lucky += r.exceeds
     assert lucky <= (size > 2)
 
@@ -327,10 +329,8 @@ def test_nothing_is_known_of_a_run_in_which_she_did_not_listen() -> None:
     r = report([RunScore("one", t, (good,)), RunScore("two", t, (good, heard))])
     always, late = r.taps
     assert r.claimed_bits == 800
-    assert late.left_bits is not None
-    assert always.left_bits is not None
-    assert (late.left_bits.low, late.left_bits.high, late.silent_bits) == (0, 0, 400)
-    assert always.left_bits.high < 40
+    assert (left(late).low, left(late).high, late.silent_bits) == (0, 0, 400)
+    assert left(always).high < 40
     assert r.strongest is always
     assert "always leaves at most" in r.verdict()
 
@@ -355,19 +355,18 @@ def test_what_is_printed_for_machines_keeps_its_names() -> None:
 # --- from files ----------------------------------------------------------------------------------
 
 
-def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, Any]:
-    return traced.transition(S, k, k, role=role, symbol=symbol, message_symbol=bit)
+def guessed_run(run_dir: Path) -> None:
+    def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, Any]:
+        return traced.transition(S, k, k, role=role, symbol=symbol, message_symbol=bit)
 
-
-def write_run(run_dir: Path) -> None:
-    (run_dir / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
-    trace = TraceWriter(run_dir / PLANT_TRACE, "plant", {})
-    trace.write({"event": "session", "session": S, "reason": NEW_JOURNAL})
-    trace.write(transition(0, "test", 0, -1))
-    trace.write(transition(1, "message", -1, 1))
-    trace.write(transition(2, "test", 1, -1))  # the last one's result never travelled
-    trace.write({"event": "recovered", "payload": base64.b64encode(b"m").decode()})
-    trace.close()
+    plant = [
+        traced.session(S),
+        transition(0, "test", 0, -1),
+        transition(1, "message", -1, 1),
+        transition(2, "test", 1, -1),  # the last one's result never travelled
+        {"event": "recovered", "payload": base64.b64encode(b"m").decode()},
+    ]
+    traced.write_run(run_dir, "sustained", plant=plant)
     (run_dir / "tap").mkdir()
     guess = {"event": "guess", "name": "t", "session": S, "k": 0, "symbol": 0, "p": 1, "agreed": 1}
     (run_dir / GUESSES).write_text(json.dumps(guess) + '\n{"torn')
@@ -380,7 +379,7 @@ def write_run(run_dir: Path) -> None:
 
 
 def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
-    write_run(tmp_path)
+    guessed_run(tmp_path)
     t = read_truth(Run.load(tmp_path))
     assert t.keys == {(S, 0): 0}
     assert t.symbols == {(S, 1): 1}
@@ -394,7 +393,7 @@ def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
 
 
 def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
-    write_run(tmp_path)
+    guessed_run(tmp_path)
     beliefs = json.loads((tmp_path / BELIEFS).read_text())
     beliefs["t"]["symbols"] = None  # as they stand before the end
     (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
@@ -409,5 +408,4 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(ScoreError, match=expected) as error:
             score_run(Run.load(tmp_path))
         assert "\n" not in str(error.value)
-        (tmp_path / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
-        TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
+        traced.write_run(tmp_path, "sustained", plant=())

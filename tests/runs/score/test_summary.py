@@ -16,6 +16,12 @@ from wyner.runs.score.summary import AGAIN, render, summarise
 
 PAYLOAD = b"two by two"
 
+TAP = {
+    "symbols_known": 1.0, "unused": {}, "message_bit_accuracy": 1.0, "messages_exact": 0,
+    "solved_k": -1, "failed": "", "unscored": "", "stray_steps": 0, "steps_not_looked_at": 0,
+}  # fmt: skip
+"""What a summary says of an eavesdropper, as far as its lines need it."""
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -35,40 +41,32 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(folder: Path) -> 
     """A tap that had it all was told in 82 columns, and the last two stood in a line alone."""
     summary = summarise(Run.load(folder), PAYLOAD)
     assert summary["delivered"]
-    tap: dict[str, object] = {
-        "symbols_known": 1.0,
-        "labels": None,
-        "unused": {},
-        "message_bit_accuracy": 1.0,
-        "solved_k": 2563,
-        "failed": "",
-        "unscored": "",
-        "stray_steps": 0,
-        "steps_not_looked_at": 0,
-    }
     summary |= {
         "run_dir": "runs/one",
         "true_bits": 0.0,
         "strongest": "set-membership",
         "taps": {
-            "set-membership": {**tap, "messages_exact": 1},
-            "list-decoder": {**tap, "messages_exact": 0, "steps_not_looked_at": 17},
-            "nearest-centre": {**tap, "messages_exact": 0, "stray_steps": 1234},
-            "key-solver": {**tap, "messages_exact": 0, "unscored": SILENT},
-            "text": {**tap, "messages_exact": 0, "unscored": UNFINISHED},
+            "set-membership": TAP | {"messages_exact": 1, "solved_k": 2563},
+            "list-decoder": TAP | {"steps_not_looked_at": 17},
+            "nearest-centre": TAP | {"stray_steps": 1234},
+            "key-solver": TAP | {"unscored": SILENT},
+            "text": TAP | {"unscored": UNFINISHED},
         },
     }
     lines = render(summary).splitlines()
     assert max(map(len, lines)) <= 80
-    assert any(line.endswith("100.0 % of bits, whole") for line in lines)
-    assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
-    # each symbol of the message is right, and others stand between them: no frame fits
-    assert any(line.endswith("100.0 % of bits, 1234 bits too many") for line in lines)
+    for told in (
+        "100.0 % of bits, whole",
+        "100.0 % of bits, not whole",
+        # each symbol of the message is right, and others stand between them: no frame fits
+        "100.0 % of bits, 1234 bits too many",
+        f"not scored: {SILENT}",
+        f"not scored: {UNFINISHED}: {AGAIN}",
+        f"17 steps not read yet: {AGAIN}",
+    ):
+        assert any(line.endswith(told) for line in lines), told
     summary["taps"]["nearest-centre"]["stray_steps"] = 1
     assert "100.0 % of bits, 1 bit too many\n" in render(summary)
-    assert any(line.endswith(f"not scored: {SILENT}") for line in lines)
-    assert any(line.endswith(f"not scored: {UNFINISHED}: {AGAIN}") for line in lines)
-    assert any(line.endswith(f"17 steps not read yet: {AGAIN}") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()
     assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
     step = summary["delivered_k"]
@@ -95,19 +93,7 @@ def test_true_is_told_with_all_that_it_rests_on(folder: Path) -> None:
         "silent_bits": 608.0,
         "silent_steps": 304,
         "strongest": "text",
-        "taps": {
-            "text": {
-                "symbols_known": 1.0,
-                "message_bit_accuracy": None,
-                "messages_exact": 0,
-                "solved_k": -1,
-                "failed": "",
-                "unscored": "",
-                "stray_steps": 0,
-                "steps_not_looked_at": 0,
-                "unused": counts,
-            }
-        },
+        "taps": {"text": TAP | {"unused": counts}},
     }
     text = render(summary)
     lines = text.splitlines()

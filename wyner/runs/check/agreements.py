@@ -96,7 +96,6 @@ def once(e: Evidence) -> Findings:
 def blocks(e: Evidence) -> Findings:
     """A block makes as many keys as its transitions allow, at both ends; without a claim, none."""
     schedule = e.rules.schedule
-    made: dict[tuple[str, int], int] = {}
     for trace in e.ends():
         if schedule is None:
             for i in np.flatnonzero(trace.rows["counts"]):
@@ -106,9 +105,6 @@ def blocks(e: Evidence) -> Findings:
         whole, cut = Blocks(schedule, trace), trace.cut
         for line in ended(trace):
             session, number, keys = line.session, line.number, line.keys
-            if made.setdefault((session, number), keys) != keys:
-                text = f"block {number}: {keys} keys at the {trace.side}, and another number before"
-                yield Finding("blocks", session, -1, text)
             if cut and session == cut.session and number <= schedule.block_of(cut.j + 1):
                 continue  # it began before what is left
             block = whole.of(session, number)

@@ -91,20 +91,19 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
     if rules.digits:
         allowed |= OF_STREAM[topic]
     told = {name for name, value in line.message.items() if value is not None}
-    if unlike := sorted((line.message.keys() ^ allowed) | (allowed - told)):
+    if unlike := sorted(told ^ allowed):
         return f"{topic} with a field too many, or one too few: {', '.join(unlike)}"
     try:
         message: Measurement | Offer = _MODELS[topic].model_validate_json(line.raw, strict=True)
     except ValidationError as error:
         return f"{topic}.{wrong(error)}"
     if isinstance(message, Measurement):
-        n = rules.states
-        fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
+        lengths = [rules.states, rules.states * (message.applied_k >= 0)]
+        fits = [len(message.x), len(message.x_after)] == lengths
     else:
-        fits = len(message.candidates) == rules.size and message.cipher < rules.size
-        fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
+        fits = [*map(len, message.candidates)] == [rules.inputs] * rules.size
         fits = fits and not rules.malformed_predictions(message.predictions)
-        fits = fits and max(message.position) < 1 << 31
+        fits = fits and message.cipher < rules.size and max(message.position) < 1 << 31
     if not fits or message.k >= 1 << 31:
         return f"{topic} is not of this plant's shape"
     if rules.schedule is None:

@@ -10,8 +10,8 @@ from protocol.scenario import ConvexSet
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings, before, columns
 from wyner.runs.check.paper import (
     Automata,
+    Entry,
     Keys,
-    Line,
     f_c,
     key_symbols,
     output_scale,
@@ -55,7 +55,7 @@ def _figures(e: Evidence, trace: Trace) -> Findings:
                 automata, session = Automata(e.rules.size, tests_always=always, p=p), number
             expected = automata.step(cipher, symbol if symbol in allowed else min(allowed))
             message, key, message_symbol, p, s = told
-            found = Line("message" if message else "test", key, message_symbol, p, s, symbol)
+            found = Entry("message" if message else "test", key, message_symbol, p, s, symbol)
             if found != expected:
                 automata.s, automata.key, automata.p = s, symbol, p
                 text = f"{trace.side}: (role, key, m, p, s, symbol) is {tuple(found)}"

@@ -130,7 +130,7 @@ def _left(
     return left
 
 
-class Line(NamedTuple):
+class Entry(NamedTuple):
     """What Fig. 5 makes of one transition, as a trace has it: role, key, m[p], p, s, new key."""
 
     role: str
@@ -151,7 +151,7 @@ class Automata:
         self.size, self.tests_always = size, tests_always
         self.s, self.key, self.p = 1, NO_KEY, p
 
-    def step(self, b_c: int, agreed: int) -> Line:
+    def step(self, b_c: int, agreed: int) -> Entry:
         """One transition that carried b_c = m[p] + key (mod M), and whose test gave ``agreed``."""
         role, key, message_symbol = "test", NO_KEY, NO_KEY
         if self.s == 2:
@@ -161,4 +161,4 @@ class Automata:
             if not self.tests_always:
                 agreed = NO_KEY
         self.s, self.key = (1, NO_KEY) if agreed == NO_KEY else (2, agreed)
-        return Line(role, key, message_symbol, self.p, self.s, agreed)
+        return Entry(role, key, message_symbol, self.p, self.s, agreed)

@@ -32,7 +32,7 @@ def plant(e: Evidence, trace: Trace) -> Findings:
         rows, before = trace.rows[at], trace.rows[np.maximum(at - 1, 0)]
         if first == 0:
             _begin(e, trace, before[:1])
-        part = Part(rows, before, np.isin(at, breaks), np.isin(at, [*trace.gaps]))
+        part = StepsInTurn(rows, before, np.isin(at, breaks), np.isin(at, [*trace.gaps]))
         for i, text in (
             *_begins(e, part),
             *_applied(rows),
@@ -45,8 +45,8 @@ def plant(e: Evidence, trace: Trace) -> Findings:
         yield Finding("plant", "", -1, text)
 
 
-class Part(NamedTuple):
-    """Some rows of the plant's trace, and the one before each.
+class StepsInTurn(NamedTuple):
+    """Some steps of the plant's trace, and the one before each.
 
     Before ``new`` rows another process began to write; before ``lost`` rows lines may be lost.
     """
@@ -81,7 +81,7 @@ def _tells_truth(rows: Rows) -> bool:
     return "true_x" in (rows.dtype.names or ())
 
 
-def _begins(e: Evidence, part: Part) -> Wrong:
+def _begins(e: Evidence, part: StepsInTurn) -> Wrong:
     """Steps that do not begin where the last ended."""
     rows, initial, k = part.rows, _initial(e), part.rows["k"]
     places, ends = part.before["k"] + 1, part.before["x_next"]
@@ -110,7 +110,7 @@ def _applied(rows: Rows) -> Wrong:
         yield i, f"applied {row['u'].tolist()}, which is not candidate b_r = {row['coin']}"
 
 
-def _leads(e: Evidence, part: Part) -> Wrong:
+def _leads(e: Evidence, part: StepsInTurn) -> Wrong:
     """Steps whose end the input in force does not explain, as it was read or in truth."""
     rows, rules, noisy = part.rows, e.rules, e.scenario.plant.noise is not None
     if e.may_leave:
@@ -148,7 +148,7 @@ def _unheld(rows: Rows, truth: Array) -> Wrong:
         yield i, f"x(k) = {truth[i].tolist()} is not in the box that both ends have"
 
 
-def _unlabelled(e: Evidence, trace: Trace, part: Part) -> Wrong:
+def _unlabelled(e: Evidence, trace: Trace, part: StepsInTurn) -> Wrong:
     """Steps of an attacked plant whose labels cannot be."""
     rows, attack = part.rows, trace.attack
     if attack is None or attack.at == "bus" or not _tells_truth(rows):

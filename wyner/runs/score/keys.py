@@ -4,8 +4,9 @@ The claim is the operator's; a run can refute it, and never prove it. What she m
 her capture is all that she heard, and which copies counted stands in the plant's trace.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -91,13 +92,13 @@ class KeyAudit:
         Under which claim the keys are secret, in words.
     refused : str or None
         Why none is made.
+    period_s : float
     blocks : tuple of AuditedBlock
     rates : mapping of str to MissRate
         Her misses of copies 0 while she was there, each direction by itself, and in it each number
         of times that messages left; empty where nothing was captured.
-    seconds : float
-        Plant time.
-    period_s : float
+    steps : int
+        The plant's.
     listened : bool
         Whether there is a capture: without one nothing is known of what a tap would hold.
     unread : tuple of str
@@ -107,10 +108,10 @@ class KeyAudit:
     claim: float
     sentence: str
     refused: str | None
-    blocks: tuple[AuditedBlock, ...]
-    rates: Mapping[str, MissRate]
-    seconds: float
     period_s: float
+    blocks: tuple[AuditedBlock, ...] = ()
+    rates: Mapping[str, MissRate] = field(default_factory=dict)
+    steps: int = 0
     listened: bool = True
     unread: tuple[str, ...] = ()
 
@@ -176,9 +177,10 @@ class KeyAudit:
         """
         made = [block for block in self.blocks if block.keys and block.confirmed]
         last = made[-1] if made else None
+        seconds = self.steps * self.period_s
         return {
             "made": self.made,
-            "bits_per_second": KEY_BITS * self.made / self.seconds if self.seconds else 0.0,
+            "bits_per_second": KEY_BITS * self.made / seconds if seconds else 0.0,
             "last_block_bits_per_second": 0.0
             if last is None
             else KEY_BITS * last.keys / (last.steps * self.period_s),
@@ -222,36 +224,26 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
     """What the tap of a run holds of its keys; None where the scenario has no table ``keys``."""
     if scenario.keys is None:
         return None
-    claim = scenario.keys.assumption()
-    schedule = scenario.keys.schedule()
-    refused = scenario.keys.refusal()
+    claim, schedule = scenario.keys.assumption(), scenario.keys.schedule()
+    found = KeyAudit(
+        claim.eps_E, claim.sentence(), scenario.keys.refusal(), scenario.plant.period_s
+    )
     if schedule is None:
-        rates: dict[str, MissRate] = {}
-        nothing = (claim.sentence(), refused, (), rates, 0.0, scenario.plant.period_s)
-        return KeyAudit(claim.eps_E, *nothing)
+        return found
     unread: list[str] = []
     plant, controller = run.so_far("plant", unread), run.so_far("controller", unread)
+    if plant is None:
+        return replace(found, listened=False, unread=tuple(unread))
+    heard = _heard(run, plant)
+    keys = {(b.session, b.number): b.keys for b in ended(plant) if b.what == "confirmed"}
     leaving = {"measurement": _Leaving(plant), "offer": _Leaving(controller)}
-    heard = None if plant is None else _heard(run, plant)
-    blocks: list[AuditedBlock] = []
-    steps = 0
-    if plant is not None:
-        keys = {(b.session, b.number): b.keys for b in ended(plant) if b.what == "confirmed"}
-        blocks = [_audited(schedule, b, plant, keys, heard) for b in Blocks(schedule, plant)]
-        steps = plant.behind + int((plant.steps["kind"] != INTERRUPTED).sum())
-    rates = {}
-    if heard is not None and plant is not None:
-        rates = _rates(run, claim, plant, heard, leaving)
-    return KeyAudit(
-        claim.eps_E,
-        claim.sentence(),
-        refused,
-        tuple(blocks),
-        rates,
-        steps * scenario.plant.period_s,
-        scenario.plant.period_s,
-        heard is not None,
-        tuple(unread),
+    return replace(
+        found,
+        blocks=tuple(_audited(schedule, b, plant, keys, heard) for b in Blocks(schedule, plant)),
+        rates={} if heard is None else _rates(run, claim, plant, heard, leaving),
+        steps=plant.behind + int((plant.steps["kind"] != INTERRUPTED).sum()),
+        listened=heard is not None,
+        unread=tuple(unread),
     )
 
 
@@ -265,44 +257,32 @@ def _rates(
     recordings, and after the last copy that she heard, where :data:`AWAY` or more followed. Her
     capture's header says how many of a message's appearances reach her: 1, by her own link.
     """
-    hears = run.capture().header.get("appearances", 1)
-
-    def copies() -> Iterator[tuple[str, int]]:
-        """The class of each copy 0 that was sent, and in which recording it is."""
-        for rows, *recorded in _together(plant.steps, heard["measurement"], heard["offer"]):
-            columns = (rows[name].tolist() for name in ("session", "k", "kind"))
-            both = (one.tolist() for one in recorded)
-            for number, k, kind, *incarnations in zip(*columns, *both, strict=True):
-                for topic, incarnation in zip(_TOPICS, incarnations, strict=True):
-                    if kind == INTERRUPTED or (kind == MISSED and topic == "offer"):
-                        continue
-                    times = leaving[topic].times(plant.sessions[number], k)
-                    other = claim.directions not in ("both", name := f"{topic}s")
-                    if other or times is None or times > claim.appearances:
-                        continue
-                    yield (name if times == 1 else f"{name} that left {times} times"), incarnation
-
-    names: dict[str, None] = {}
-    last: dict[int, int] = {}  # of each of her recordings, the last copy in it
-    count = 0
-    for name, incarnation in copies():
-        names.setdefault(name)
-        if incarnation >= 0:
-            last[incarnation] = count
-        count += 1
-    ends = {i for i in last.values() if i < max(last.values()) or count - i > AWAY}
-    audit = Audit(claim.eps_E**hears, tuple(names))
-    for i, (name, incarnation) in enumerate(copies()):
-        audit.add(name, missed=incarnation < 0)
-        if i in ends:
+    names: dict[str, int] = {}
+    classes, recordings = array("b"), array("h")  # of each copy 0 that was sent
+    for first in range(0, len(plant.steps), AT_ONCE):
+        rows = plant.steps[first : first + AT_ONCE]
+        columns = [rows[name].tolist() for name in ("session", "k", "kind")]
+        columns += [heard[topic][first : first + len(rows)].tolist() for topic in _TOPICS]
+        for number, k, kind, *recorded in zip(*columns, strict=True):
+            for topic, recording in zip(_TOPICS, recorded, strict=True):
+                if kind == INTERRUPTED or (kind == MISSED and topic == "offer"):
+                    continue
+                times = leaving[topic].times(plant.sessions[number], k)
+                other = claim.directions not in ("both", name := f"{topic}s")
+                if other or times is None or times > claim.appearances:
+                    continue
+                name = name if times == 1 else f"{name} that left {times} times"
+                classes.append(names.setdefault(name, len(names)))
+                recordings.append(recording)
+    last = {recording: i for i, recording in enumerate(recordings) if recording >= 0}
+    gone = {i for i in last.values() if i < max(last.values()) or len(recordings) - i > AWAY}
+    by_number = [*names]
+    audit = Audit(claim.eps_E ** run.capture().header.get("appearances", 1), by_number)
+    for i, (number, recording) in enumerate(zip(classes, recordings, strict=True)):
+        audit.add(by_number[number], missed=recording < 0)
+        if i in gone:
             audit.gone()
     return audit.judge()
-
-
-def _together(*columns: Any) -> Iterator[tuple[Any, ...]]:
-    for first in range(0, len(columns[0]), AT_ONCE):
-        last = min(first + AT_ONCE, len(columns[0]))
-        yield tuple(column[first:last] for column in columns)
 
 
 def _audited(

@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED
@@ -12,6 +11,7 @@ from protocol.text import aligned
 from runtime.errors import UsageError
 from runtime.run_folder import loops_below
 from tap_service.eavesdroppers import ORACLE
+from wyner.printout import Printout
 from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
@@ -29,17 +29,13 @@ from wyner.runs.score.words import (
 )
 
 
-@dataclass(frozen=True)
-class ScoredRuns:
+@dataclass(frozen=True, eq=False)
+class ScoredRuns(Printout):
     """The scores of some runs.
 
     Parameters
     ----------
     report : Report
-    keys : dict of str to KeyAudit
-        By the name of each run that makes keys.
-    costs : dict of str to float or None
-        By folder: the mean of x' Q x + u' R u a step.
     failed : bool
         Whether an eavesdropper failed, so that nobody knows what it would have had.
     notes : list of str
@@ -47,38 +43,8 @@ class ScoredRuns:
     """
 
     report: Report
-    keys: dict[str, KeyAudit]
-    costs: dict[str, float | None]
     failed: bool
     notes: list[str]
-
-    def to_json(self) -> dict[str, Any]:
-        """The report, and beside it the keys of each run, block by block, and its cost."""
-        return {
-            **self.report.to_json(),
-            "keys": {name: audit.as_json(blocks=True) for name, audit in self.keys.items()},
-            "control_cost": self.costs,
-            "no_interval": {"control_cost": COUNTED},
-        }
-
-    def __str__(self) -> str:
-        """Tables with a row for each eavesdropper, the verdict, costs and key blocks."""
-        r = self.report
-        lines = aligned([GUESSES, *guess_rows(r.taps)])
-        lines += ["", *aligned([SECRECY, *secrecy_rows(r.taps)]), ""]
-        for tap in r.taps:
-            told = [*remarks(tap), *map(held_line, tap.keys)]
-            lines += [f"{tap.name}: {remark}" for remark in told]
-        counted = f"{len(r.runs)} run{'' if len(r.runs) == 1 else 's'}"
-        counted += f", {r.transitions} transitions; by the paper's rule "
-        counted += f"{r.claimed_bits:.0f} bits count as secret"
-        lines += ["", counted, NOTE, "", r.verdict()]
-        for folder, cost in self.costs.items():
-            if cost is not None:
-                lines.append(f"control cost of {folder}: {cost:.4g} a step, x' Q x + u' R u")
-        for name, audit in self.keys.items():
-            lines += ["", f"key blocks of {name}", str(audit)]
-        return "\n".join(lines)
 
 
 def score_runs(folders: Sequence[Path], names: Sequence[str] = ()) -> ScoredRuns:
@@ -117,8 +83,34 @@ def score_runs(folders: Sequence[Path], names: Sequence[str] = ()) -> ScoredRuns
             what = "the plant's trace has no end: it runs still, was killed, or the file was cut"
             notes.append(f"{run_dir}: {what}; what is there is scored")
     failed = any(tap.failed for one in scores for tap in one.taps)
-    costs = {str(run.folder): cost_of(run) for run in runs}
-    return ScoredRuns(report(scores), _audits(runs), costs, failed, notes)
+    costs, audits = {str(run.folder): cost_of(run) for run in runs}, _audits(runs)
+    found = report(scores)
+    figures = {
+        **found.to_json(),
+        "keys": {name: audit.as_json(blocks=True) for name, audit in audits.items()},
+        "control_cost": costs,
+        "no_interval": {"control_cost": COUNTED},
+    }
+    lines = _tables(found)
+    for where, cost in costs.items():
+        if cost is not None:
+            lines.append(f"control cost of {where}: {cost:.4g} a step, x' Q x + u' R u")
+    for name, audit in audits.items():
+        lines += ["", f"key blocks of {name}", str(audit)]
+    return ScoredRuns(figures, lines, found, failed, notes)
+
+
+def _tables(found: Report) -> list[str]:
+    """Tables with a row for each eavesdropper, what must stand beside them, and the verdict."""
+    lines = aligned([GUESSES, *guess_rows(found.taps)])
+    lines += ["", *aligned([SECRECY, *secrecy_rows(found.taps)]), ""]
+    for tap in found.taps:
+        told = [*remarks(tap), *map(held_line, tap.keys)]
+        lines += [f"{tap.name}: {remark}" for remark in told]
+    counted = f"{len(found.runs)} run{'' if len(found.runs) == 1 else 's'}"
+    counted += f", {found.transitions} transitions; by the paper's rule "
+    counted += f"{found.claimed_bits:.0f} bits count as secret"
+    return [*lines, "", counted, NOTE, "", found.verdict()]
 
 
 def _heard_again(run: Run, names: Sequence[str]) -> RunScore:
