@@ -107,7 +107,7 @@ def run_end(
             "pace": pace,
             "seed": loop.seed,
             "folder": folder_of("--folder", options.folder, scenario_file_of(loop.scenario).parent),
-            "bounds": options.bounds,
+            "bounds": Bounds(total_bytes=options.total_bytes),
             "status_s": FLEET_STATUS_S if many else STATUS_S,
         }
         return configure(common, loop)

@@ -1,6 +1,37 @@
-"""Lines of a trace by hand, whole as the services write them."""
+"""Lines of a trace by hand, whole as the services write them; and a run's traces made of them."""
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
+
+from protocol.link.events import MET, NEW_JOURNAL
+from runtime.recording import TraceWriter
+from runtime.run_folder import SCENARIO
+from tests.support.scenarios import text_of
+from wyner.runs.run import TRACES, Run
+
+
+def session(name: str, reason: str = NEW_JOURNAL) -> dict[str, Any]:
+    """The line with which a plant's session begins."""
+    return {"event": "session", "session": name, "reason": reason}
+
+
+def met(name: str) -> dict[str, Any]:
+    """The same at the controller."""
+    return session(name, MET)
+
+
+def write_run(run_dir: Path, scenario: str, **traces: Iterable[dict[str, Any]]) -> Run:
+    """A run of a shipped scenario with these traces, by side."""
+    run_dir.mkdir(exist_ok=True)
+    (run_dir / SCENARIO).write_text(text_of(scenario))
+    for side, path in TRACES.items():
+        if side in traces:
+            trace = TraceWriter(run_dir / path, side, {})
+            for line in traces[side]:
+                trace.write(line)
+            trace.close()
+    return Run.load(run_dir)
 
 
 def transition(session: str, j: int, k: int, *, size: int = 2, **fields: Any) -> dict[str, Any]:

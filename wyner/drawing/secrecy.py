@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -14,7 +15,9 @@ def draw_report(axes: Axes, report: Report) -> None:
     names = ["by the paper's rule", *(t.name for t in report.taps)]
     left = [t.left_bits.high if t.left_bits is not None else math.nan for t in report.taps]
     values = [report.claimed_bits, *left]
-    bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
+    bars = axes.barh(
+        names, np.nan_to_num(values), color=["0.5", *(COLOURS[1] for _ in report.taps)]
+    )
     bars[0].set_hatch("//")
     for place, value in enumerate(values):
         told = "not scored" if math.isnan(value) else f"{value:.1f}"

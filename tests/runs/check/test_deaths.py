@@ -9,7 +9,7 @@ from protocol.link.records import Side
 from runtime.run_folder import PLANT_TRACE
 from tests.support.checked_runs import failed
 from tests.support.pair import SIDES, Name
-from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines, write_lines
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run
@@ -64,10 +64,11 @@ def test_a_block_of_a_session_that_nobody_knows_fails(tmp_path: Path) -> None:
     loop = RecordedPair(tmp_path, name="keys")
     loop.run(lambda: loop.transitions >= 150)
     loop.stop()
-    lines = read_lines(tmp_path / PLANT_TRACE)
-    block = next(line for line in lines if line["event"] == "block")
-    block["session"] = "f" * 16
-    write_lines(tmp_path / PLANT_TRACE, lines)
+
+    def change(lines: Lines) -> None:
+        next(line for line in lines if line["event"] == "block")["session"] = "f" * 16
+
+    edit(tmp_path / PLANT_TRACE, change)
     assert "blocks" in failed(tmp_path)
 
 

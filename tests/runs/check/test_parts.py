@@ -8,17 +8,13 @@ import pytest
 
 from runtime.recording import Bounds, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.checked_runs import results_of
+from tests.support.checked_runs import failed, results_of
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
 from tests.support.traces import events_of
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
 
 PART = 40_000
-
-
-def results(folder: Path, result: str) -> set[str]:
-    return {name for name, finding in results_of(folder).items() if finding.result == result}
 
 
 def made(folder: Path, bounds: Bounds) -> Path:
@@ -64,14 +60,14 @@ def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
     for one, many in zip(read_evidence(whole).ends(), read_evidence(parted).ends(), strict=True):
         assert one.rows.tobytes() == many.rows.tobytes()
         assert len(many.parts) > len(one.parts) == 1
-    assert not results(parted, "FAIL")
+    assert failed(parted) == set()
 
 
 def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
     whole: Path, bounded: Path
 ) -> None:
     left = results_of(bounded)
-    assert not results(bounded, "FAIL"), left
+    assert failed(bounded) == set()
     assert "of the plant's trace are gone, judged after transition" in left["traces"].note
     for name in ("traces", "plant", "replay", "in-step", "paper"):
         assert left[name].result == "PASS"
@@ -86,7 +82,7 @@ def test_a_side_that_begins_later_is_compared_from_there_on(parted: Path, copied
         shutil.rmtree(copied)
         shutil.copytree(parted, copied)
         _cut_off(copied / path, 4)
-        assert not results(copied, "FAIL"), results_of(copied)
+        assert failed(copied) == set()
         assert results_of(copied)["in-step"].result == "PASS"
 
 
@@ -97,15 +93,14 @@ def test_a_wrong_number_in_what_is_left_fails(bounded: Path, tmp_path: Path) -> 
     at = max(i for i, line in enumerate(lines) if line.get("role") == "message")
     lines[at]["message_symbol"] ^= 1
     write_lines(part, lines)
-    assert {"replay", "in-step", "whole"} <= results(folder, "FAIL")
+    assert {"replay", "in-step", "whole"} <= failed(folder)
 
 
 @pytest.mark.parametrize("number", [0, 1, 3, -1])
 def test_a_part_that_the_writer_did_not_drop_is_missed(copied: Path, number: int) -> None:
     parts_of(copied / CONTROLLER_TRACE)[number].unlink()
-    failed = results(copied, "FAIL")
     # what a deleted newest part leaves looks like a kill: the other side has gone on
-    assert ("in-step" if number == -1 else "whole") in failed
+    assert ("in-step" if number == -1 else "whole") in failed(copied)
 
 
 def test_a_trace_of_which_nothing_can_be_judged_passes_nothing(copied: Path) -> None:
@@ -114,8 +109,9 @@ def test_a_trace_of_which_nothing_can_be_judged_passes_nothing(copied: Path) -> 
         newest = parts_of(copied / path)[-1]
         lines = read_lines(newest)
         write_lines(newest, lines[:1])  # its header, and killed
-    assert not {"traces", "plant", "in-step", "replay"} & results(copied, "PASS")
-    assert "traces" in results(copied, "SKIP")
+    found = results_of(copied)
+    assert "PASS" not in {found[name].result for name in ("plant", "in-step", "replay")}
+    assert found["traces"].result == "SKIP"
 
 
 def _cut_off(path: Path, count: int) -> None:

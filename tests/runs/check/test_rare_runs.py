@@ -13,7 +13,8 @@ from protocol.agreement import NO_SYMBOL
 from runtime.run_folder import CONTROLLER_JOURNAL, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
-from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, edit
+from tests.support.traces import events_of
 from wyner.runs import trace
 from wyner.runs.check import bus, check, plant
 from wyner.runs.check.evidence import EDGE, Finding, read_evidence
@@ -29,14 +30,6 @@ def ended(run: RecordedPair, steps: int = 0) -> Path:
     run.steps(steps)
     run.stop()
     return run.folder
-
-
-def change(folder: Path, number: int, **fields: object) -> None:
-    """Fields of a transition, at both ends."""
-    for name in (PLANT_TRACE, CONTROLLER_TRACE):
-        lines = read_lines(folder / name)
-        [line for line in lines if line["event"] == "transition"][number].update(fields)
-        write_lines(folder / name, [line for line in lines if line["event"] != "end"])
 
 
 def test_a_plant_whose_journal_was_put_back_begins_a_new_session(tmp_path: Path) -> None:
@@ -66,7 +59,7 @@ def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Pa
     """A key is then unlike the coin now and then, and both checks say how often."""
     wide = (('kind = "uniform"\n', 'kind = "gaussian"\ndeviation = 0.7\n'),)
     folder = ended(RecordedPair(tmp_path / "run", b"hi", changes=wide), 300)
-    made = [t for t in read_lines(folder / PLANT_TRACE) if t["event"] == "transition"]
+    made = events_of(folder / PLANT_TRACE, "transition")
     left = [t for t in made if t["gauges"][t["coin"]] > 1 + EDGE]
     unlike = [t for t in left if t["symbol"] not in (NO_SYMBOL, t["coin"])]
     assert len(left) > len(unlike) > 0
@@ -76,10 +69,15 @@ def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Pa
 def test_the_papers_law_is_held_to_its_gain_inside_the_terminal_set(tmp_path: Path) -> None:
     folder = ended(RecordedPair(tmp_path / "run", b"hi", name="paper"), 30)
     assert wrong(folder) == {}
-    inside = [line for line in read_lines(folder / PLANT_TRACE) if line["event"] == "transition"]
-    ((u,), same) = inside[28]["candidates"]
+    ((u,), same) = events_of(folder / PLANT_TRACE, "transition")[28]["candidates"]
     assert same == [u]
-    change(folder, 28, candidates=[[u], [u + 0.5]])
+
+    def change(lines: Lines) -> None:
+        made = [line for line in lines if line["event"] == "transition"]
+        made[28].update(candidates=[[u], [u + 0.5]])
+
+    for name in (PLANT_TRACE, CONTROLLER_TRACE):
+        edit(folder / name, change)
     assert wrong(folder)["admissible"] == "candidate 1 is 0.5 away from K x inside T_0"
 
 
@@ -120,17 +118,10 @@ def test_a_message_that_is_gone_from_the_controllers_queue_is_missed(
     assert found == ({"whole"} if number == 1 else {"messages"} if number == 2 else set())
 
 
-@pytest.mark.parametrize("field", ["onset", "knows", "options"])
-def test_an_attack_that_is_told_otherwise_than_the_manifest_has_it_is_seen(field: str) -> None:
-    line: dict[str, Any] = {
-        "kind": "ghost",
-        "at": "sensor",
-        "onset": 5,
-        "knows": ("bus",),
-    }
-    line["options"] = {"share": 0.5}
-    attack = AttackLine(**line)
-    said = line | {"knows": ["bus"]}
+def test_an_attack_that_is_told_otherwise_than_the_manifest_has_it_is_seen() -> None:
+    attack = AttackLine("ghost", "sensor", 5, ("bus",), {"share": 0.5})
+    said = attack._asdict() | {"knows": ["bus"]}
     assert unlike_manifest(attack, said) == ""
-    other: dict[str, Any] = {"onset": 6, "knows": [], "options": {"share": 0.25}}
-    assert "the manifest" in unlike_manifest(attack, said | {field: other[field]})
+    others: tuple[dict[str, Any], ...] = ({"onset": 6}, {"knows": []}, {"options": {"share": 0.25}})
+    for other in others:
+        assert "the manifest" in unlike_manifest(attack, said | other)

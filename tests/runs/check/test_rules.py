@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,8 +27,6 @@ from tests.support.lines import unmarked
 from tests.support.recorded_pair import Lines, RecordedPair, edit, read_lines
 from wyner.runs.check import RULES
 
-Line = dict[str, Any]
-
 
 @pytest.fixture(scope="module")
 def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -42,10 +39,6 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def made(lines: Lines) -> Lines:
     return [line for line in lines if line["event"] == "transition"]
-
-
-def numbered(lines: Lines, j: int) -> Line:
-    return next(t for t in made(lines) if t["j"] == j)
 
 
 def on_the_bus(lines: Lines, topic: str) -> Lines:
@@ -62,12 +55,11 @@ def whole(folder: Path) -> None:
 
 
 def replay(folder: Path) -> None:
+    def change(lines: Lines) -> None:
+        next(t for t in made(lines) if t["j"] == 40)["gauges"][0] *= 1 + 1e-15
+
     for name in (PLANT_TRACE, CONTROLLER_TRACE):
-        edit(folder / name, lambda lines: _raised(numbered(lines, 40)["gauges"]))
-
-
-def _raised(gauges: list[float]) -> None:
-    gauges[0] *= 1 + 1e-15
+        edit(folder / name, change)
 
 
 def plant(folder: Path) -> None:
@@ -125,9 +117,10 @@ def wire(folder: Path) -> None:
 
 
 def in_step(folder: Path) -> None:
-    edit(
-        folder / CONTROLLER_TRACE, lambda lines: made(lines)[-1].update(k=made(lines)[-1]["k"] + 1)
-    )
+    def change(lines: Lines) -> None:
+        made(lines)[-1]["k"] += 1
+
+    edit(folder / CONTROLLER_TRACE, change)
 
 
 def once(folder: Path) -> None:

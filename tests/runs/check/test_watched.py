@@ -94,16 +94,12 @@ def test_an_alarm_that_a_killed_controller_tells_again_is_right(tmp_path: Path) 
     assert failed(loop.folder) == set()
 
 
-def test_each_field_that_is_otherwise_is_noticed(attacked: Path, tmp_path: Path) -> None:
+def test_what_is_otherwise_or_missing_is_noticed(attacked: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(attacked, tmp_path / "run"))
     alarm = ("session", "j", "k", "reading", "reason", "candidate", "expected", "gauge")
     theirs = {"alarm": alarm, "transition": ("expected", "digits", "keyed")}
     assert unnoticed(folder, CONTROLLER_TRACE, theirs) == []
     assert unnoticed(folder, PLANT_TRACE, {"transition": ("digits", "keyed")}) == []
-
-
-def test_an_alarm_that_is_missing_is_noticed(attacked: Path, tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(attacked, tmp_path / "run"))
     lines = read_lines(folder / CONTROLLER_TRACE)
     lines.remove([line for line in lines if line["event"] == "alarm"][3])
     write_lines(folder / CONTROLLER_TRACE, lines)

@@ -3,50 +3,35 @@
 from pathlib import Path
 from typing import Any
 
-from protocol.link.events import MET, NEW_JOURNAL
-from runtime.recording import TraceWriter
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
-from runtime.shipped import SCENARIOS
-from tests.support.traced import at_controller, transition
+from runtime.run_folder import CONTROLLER_TRACE
+from tests.support.traced import at_controller, met, session, transition, write_run
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
+
+Line = dict[str, Any]
 
 A, B = "a" * 16, "f" * 16
 ONSET = 5
 
 
-def began(at: str = "sensor") -> dict[str, Any]:
+def began(at: str = "sensor") -> Line:
     told = {"event": "attack", "kind": "ghost", "at": at, "onset": ONSET}
     return told | {"knows": [], "options": {}}
 
 
-def session(name: str, reason: str = NEW_JOURNAL) -> dict[str, Any]:
-    return {"event": "session", "session": name, "reason": reason}
-
-
-def step(session: str, j: int, k: int, away: float) -> dict[str, Any]:
+def step(name: str, j: int, k: int, away: float) -> Line:
     said, true = [0.0, 1.0], [away, 1.0]
-    return transition(session, j, k, x_next=said, true_x_next=true, true_u=[0.0])
+    return transition(name, j, k, x_next=said, true_x_next=true, true_u=[0.0])
 
 
-def alarm(session: str, k: int) -> dict[str, Any]:
-    said = {"event": "alarm", "session": session, "j": k, "k": k, "reading": [0.0, 1.0]}
+def alarm(name: str, k: int) -> Line:
+    said = {"event": "alarm", "session": name, "j": k, "k": k, "reading": [0.0, 1.0]}
     said |= {"reason": "unexplained", "candidate": 0, "expected": [0.0, 0.0], "gauge": 2.0}
     return said
 
 
-def write(run_dir: Path, plant: list[dict[str, Any]], controller: list[dict[str, Any]]) -> Run:
-    run_dir.mkdir(exist_ok=True)
-    (run_dir / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
-    for path, vantage, events in (
-        (PLANT_TRACE, "plant", plant),
-        (CONTROLLER_TRACE, "controller", controller),
-    ):
-        trace = TraceWriter(run_dir / path, vantage, {})
-        for event in events:
-            trace.write(event)
-        trace.close()
-    return Run.load(run_dir)
+def write(run_dir: Path, plant: list[Line], controller: list[Line]) -> Run:
+    return write_run(run_dir, "sustained", plant=plant, controller=controller)
 
 
 def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_path: Path) -> None:
@@ -78,7 +63,7 @@ def test_of_an_attack_on_the_bus_what_was_sent_is_compared_with_what_came(tmp_pa
     shown = [
         at_controller(line, x_next=[0.0, 0.0], expected=1)
         if line["event"] == "transition"
-        else session(line["session"], MET)
+        else met(line["session"])
         for line in plant
     ]
     found = attacked(write(tmp_path, [plant[0], began("bus"), *plant[1:]], shown))

@@ -4,23 +4,18 @@ import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import pytest
 
-from protocol.link.events import MET, NEW_JOURNAL
 from protocol.messages import Measurement, Offer
-from protocol.scenario import Scenario
 from runtime.chance import fresh_nonce
 from runtime.logs import logger
-from runtime.recording import Bounds, TraceWriter
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
-from runtime.scenario_file import scenario_of
-from runtime.shipped import SCENARIOS
+from runtime.recording import Bounds
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tap_service.capture.recording import RotatingLog, mirror_line
 from tap_service.inference.miss_rate import ALL
 from tests.support.scenarios import changed
-from tests.support.traced import transition
+from tests.support.traced import met, session, transition, write_run
 from wyner.runs.run import Run
 from wyner.runs.score.keys import KeyAudit, audit_keys, key_lines
 
@@ -51,19 +46,12 @@ def audited(
     ``appearances`` says from which steps on the plant's messages leave how often; the claim is of
     ``claimed`` at most.
     """
-    scenario = changed("keys", keys={"appearances": claimed})
-    header: dict[str, Any] = scenario.identity()
-    plant = TraceWriter(run_dir / PLANT_TRACE, "plant", header)
-    controller = TraceWriter(run_dir / CONTROLLER_TRACE, "controller", header)
-    (run_dir / SCENARIO).write_bytes((SCENARIOS / "keys.toml").read_bytes())
-    for trace, reason in ((plant, NEW_JOURNAL), (controller, MET)):
-        trace.write({"event": "session", "session": S, "reason": reason})
+    plant = [session(S)]
     for k in range(STEPS):
         if k in appearances:
-            plant.write({"event": "appearances", "session": S, "k": k, "times": appearances[k]})
-        plant.write(transition(S, k, k, size=4, counts=3 * (k > 0)))
-    plant.close()
-    controller.close()
+            plant.append({"event": "appearances", "session": S, "k": k, "times": appearances[k]})
+        plant.append(transition(S, k, k, size=4, counts=3 * (k > 0)))
+    write_run(run_dir, "keys", plant=plant, controller=[met(S)])
     for life in lives:
         tap = {"vantage": "tap", "appearances": 1}
         capture = RotatingLog(run_dir / CAPTURE, tap, Bounds(free_bytes=0), logger("tap"))
@@ -72,11 +60,11 @@ def audited(
                 if heard(topic, k):
                     capture.write(mirror_line(k, topic, message(topic, k).wire()))
         capture.close()
-    return audit_of(run_dir, scenario)
+    return audit_of(run_dir, claimed)
 
 
-def audit_of(run_dir: Path, scenario: Scenario) -> KeyAudit:
-    audit = audit_keys(Run.load(run_dir), scenario)
+def audit_of(run_dir: Path, claimed: int = 1) -> KeyAudit:
+    audit = audit_keys(Run.load(run_dir), changed("keys", keys={"appearances": claimed}))
     assert audit is not None
     return audit
 
@@ -169,7 +157,7 @@ def test_a_damaged_trace_does_not_read_as_fewer_keys(tmp_path: Path, path: Path)
     lines = (tmp_path / path).read_bytes().splitlines(keepends=True)
     lines[2 if path == CONTROLLER_TRACE else 300 : 301] = [b'{"event":"session"}\n']
     (tmp_path / path).write_bytes(b"".join(lines))
-    damaged = audit_of(tmp_path, scenario_of("keys"))
+    damaged = audit_of(tmp_path)
     (why,) = damaged.unread
     assert str(path) in why
     assert f"counted up to there: {why}" in damaged.warnings

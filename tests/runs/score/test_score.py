@@ -10,13 +10,12 @@ from typing import Any
 
 import pytest
 
-from protocol.link.events import NEW_JOURNAL
 from protocol.statistics import NO_RUNS, Interval, stated_left
-from runtime.recording import TraceWriter
-from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
-from runtime.shipped import SCENARIOS
+from runtime.run_folder import BELIEFS, GUESSES
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, Belief
 from tests.support import traced
+from wyner.drawing.secrecy import draw_report
+from wyner.drawing.style import svg_of
 from wyner.runs.run import Run
 from wyner.runs.score import words
 from wyner.runs.score.report import Report, TapReport, percent, report
@@ -229,6 +228,14 @@ def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> N
     assert "No key was agreed by the paper's rule" in report([nothing]).verdict()
 
 
+def test_a_report_in_which_nothing_counts_and_nobody_is_scored_is_drawn() -> None:
+    """The page of a sealed run came with a warning that there was no room for its figure."""
+    t = Truth(2, {}, {}, (), 50)
+    taps = (score(t, replace(said(0, name=f"tap {i}"), live={})) for i in range(5))
+    r = one_run(t, *taps)
+    assert b"<svg" in svg_of((7.6, 2.0), lambda axes: draw_report(axes, r))
+
+
 def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:
     """A tap that raised at step 21 ended as "True: 77, measured"; one for keys left "3198.0"."""
     t = truth()
@@ -348,19 +355,18 @@ def test_what_is_printed_for_machines_keeps_its_names() -> None:
 # --- from files ----------------------------------------------------------------------------------
 
 
-def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, Any]:
-    return traced.transition(S, k, k, role=role, symbol=symbol, message_symbol=bit)
+def guessed_run(run_dir: Path) -> None:
+    def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, Any]:
+        return traced.transition(S, k, k, role=role, symbol=symbol, message_symbol=bit)
 
-
-def write_run(run_dir: Path) -> None:
-    (run_dir / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
-    trace = TraceWriter(run_dir / PLANT_TRACE, "plant", {})
-    trace.write({"event": "session", "session": S, "reason": NEW_JOURNAL})
-    trace.write(transition(0, "test", 0, -1))
-    trace.write(transition(1, "message", -1, 1))
-    trace.write(transition(2, "test", 1, -1))  # the last one's result never travelled
-    trace.write({"event": "recovered", "payload": base64.b64encode(b"m").decode()})
-    trace.close()
+    plant = [
+        traced.session(S),
+        transition(0, "test", 0, -1),
+        transition(1, "message", -1, 1),
+        transition(2, "test", 1, -1),  # the last one's result never travelled
+        {"event": "recovered", "payload": base64.b64encode(b"m").decode()},
+    ]
+    traced.write_run(run_dir, "sustained", plant=plant)
     (run_dir / "tap").mkdir()
     guess = {"event": "guess", "name": "t", "session": S, "k": 0, "symbol": 0, "p": 1, "agreed": 1}
     (run_dir / GUESSES).write_text(json.dumps(guess) + '\n{"torn')
@@ -373,7 +379,7 @@ def write_run(run_dir: Path) -> None:
 
 
 def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
-    write_run(tmp_path)
+    guessed_run(tmp_path)
     t = read_truth(Run.load(tmp_path))
     assert t.keys == {(S, 0): 0}
     assert t.symbols == {(S, 1): 1}
@@ -387,7 +393,7 @@ def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
 
 
 def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
-    write_run(tmp_path)
+    guessed_run(tmp_path)
     beliefs = json.loads((tmp_path / BELIEFS).read_text())
     beliefs["t"]["symbols"] = None  # as they stand before the end
     (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
@@ -402,5 +408,4 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(ScoreError, match=expected) as error:
             score_run(Run.load(tmp_path))
         assert "\n" not in str(error.value)
-        (tmp_path / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
-        TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
+        traced.write_run(tmp_path, "sustained", plant=())
