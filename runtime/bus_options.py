@@ -18,7 +18,6 @@ from runtime.services import SERVICES, Ends
 if TYPE_CHECKING:
     from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from runtime.recording import Bounds
 
 
 ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that bus's default"
@@ -63,18 +62,12 @@ class ServiceOptions(BusOptions):
         "run many loops: those of FILE, or N of --scenario (docs/deployment.md)", "FILE|N"
     )
     metrics: str | None = option("serve Prometheus metrics there (docs/deployment.md)", "HOST:PORT")
-    total_bytes: int | None = option(
+    total_bytes: int = option(
         "largest size of the recording; its oldest parts are deleted (default: 1 GiB)",
         "N",
+        2**30,
         least=2048,
     )
-
-    @property
-    def bounds(self) -> "Bounds":
-        """Of the recording."""
-        from runtime.recording import Bounds
-
-        return Bounds() if self.total_bytes is None else Bounds(total_bytes=self.total_bytes)
 
 
 def add_service_arguments(

@@ -95,7 +95,6 @@ class ZenohPublisher:
         self._key = key
         self._many = many
         self._session: zenoh.Session | None = None
-        self._declared: zenoh.Publisher | None = None
         self._put: Callable[[bytes], object] = self._lost
 
     def attach(self, session: zenoh.Session) -> None:
@@ -104,21 +103,19 @@ class ZenohPublisher:
         if self._many:
             self._put = partial(session.put, zenoh.KeyExpr(self._key), **self._settings)
         else:
-            self._declared = session.declare_publisher(self._key, **self._settings)
-            self._put = self._declared.put
+            self._put = session.declare_publisher(self._key, **self._settings).put
 
     def detach(self) -> None:
         """Publish nowhere until it is attached again."""
         self._put = self._lost
-        self._session = self._declared = None
+        self._session = None
 
     @property
     def matched(self) -> bool:
         """Whether somebody listens to the key at this moment; what is put before is gone."""
         if self._session is None:
             return False
-        asked = self._declared or self._session.declare_publisher(self._key)
-        status: Any = asked.matching_status  # the stub says bool, wrongly
+        status: Any = self._session.declare_publisher(self._key).matching_status  # no bool
         return bool(status.matching)
 
     def _lost(self, _payload: bytes) -> None:
@@ -277,6 +274,12 @@ class ZenohBus(Bus):
     extra : mapping, optional
         More Zenoh configuration, key to JSON value; wins over what is set here.
 
+    Attributes
+    ----------
+    closed : bool
+    received : int
+        Messages that have come.
+
     Raises
     ------
     TransportError
@@ -307,17 +310,12 @@ class ZenohBus(Bus):
         self._settings = settings_of(addresses) | dict(extra or {})
         self._parts: list[ZenohPublisher | ZenohChannel | _Subscription] = []
         self._changing = threading.Lock()
-        self._closing = threading.Event()
+        self.closed = False
         self.received = 0
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(self._settings, self._endpoints, retry_until=until)
-        self._links: list[zenoh.Link] = []
-        self._appearances = self._count()
-
-    @property
-    def closed(self) -> bool:
-        """Whether it has been closed."""
-        return self._closing.is_set()
+        self._links: list[zenoh.Link] | None = None  # as they were counted last
+        self._appearances = 1
 
     def links(self) -> frozenset[tuple[str, str]]:
         """The links that are open, by their two locators; a multicast group's are to each other."""
@@ -341,10 +339,6 @@ class ZenohBus(Bus):
             for chunk in key_expr.split("/")
         )
 
-    def _count(self) -> int:
-        pairs = [(link.src, link.dst) for link in self._links if link.group is None]
-        return appearances(pairs, self._groups, routed=self._client)
-
     def appearances(self) -> int:
         """How often a message that is put now leaves, by the links that are open; 1 at least.
 
@@ -359,7 +353,8 @@ class ZenohBus(Bus):
             return self._appearances
         if links != self._links:
             self._links = links
-            self._appearances = self._count()
+            pairs = [(link.src, link.dst) for link in links if link.group is None]
+            self._appearances = appearances(pairs, self._groups, routed=self._client)
         return self._appearances
 
     def _attach(self, part: "ZenohPublisher | ZenohChannel | _Subscription", key: str) -> None:
@@ -468,7 +463,7 @@ class ZenohBus(Bus):
                 raise TransportError(f"{where}: the session does not end: start this again")
             within(CLOSE_S, partial(_close_session, self._session))
             until = time.monotonic() + REOPEN_S
-            while not self._closing.is_set():
+            while not self.closed:
                 try:
                     session = _open(self._settings, self._endpoints, retry_until=-inf)
                 except TransportError:
@@ -492,7 +487,7 @@ class ZenohBus(Bus):
         An attempt to connect that is under way can hold this up for 1 s. Where the session does not
         close it is left, and the process ends all the same (:func:`runtime.hanging.leave`).
         """
-        self._closing.set()
+        self.closed = True
 
         def close() -> None:
             with self._changing:

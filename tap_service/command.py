@@ -152,6 +152,7 @@ def run_with_knowledge(
     """
     from pathlib import Path
 
+    from runtime.recording import Bounds
     from tap_service.capture.channel import View
     from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -177,7 +178,7 @@ def run_with_knowledge(
             names=names or default_names(told.knowledge),
             view=view,
             loop=loop.id,
-            limits=options.bounds,
+            limits=Bounds(total_bytes=options.total_bytes),
         )
         find_each(config.names, config.knowledge_of, where)
         for name in config.names:

@@ -155,19 +155,8 @@ def test_a_frame_has_a_row_a_step(runs: Simulated) -> None:
     one = runs.frame(1)
     assert (one["run"] == 1).all()
     assert (frame[frame["run"] == 1]["x_2"].to_numpy() == one["x_2"].to_numpy()).all()
-    assert list(one.columns) == [
-        "run",
-        "k",
-        "x_1",
-        "x_2",
-        "u_1",
-        "coin",
-        "gauge_0",
-        "gauge_1",
-        "key",
-        "cipher",
-        "message_symbol",
-    ]
+    columns = "run k x_1 x_2 u_1 coin gauge_0 gauge_1 key cipher message_symbol"
+    assert list(one.columns) == columns.split()
     assert (one["key"].to_numpy() == runs.key[1]).all()
 
 

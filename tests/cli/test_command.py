@@ -116,14 +116,7 @@ def test_a_run_of_another_scenario_is_left_alone(
     """Their fingerprints are the same; a check would take one scenario's run for the other's."""
     keep_scenario(tmp_path, "paper")
     field, management = free_endpoints(2)
-    args = [
-        "--listen",
-        f"field={field}",
-        "--listen",
-        f"management={management}",
-        "--run-dir",
-        str(tmp_path),
-    ]
+    args = (f"--listen=field={field}", f"--listen=management={management}", f"--run-dir={tmp_path}")
     (line,) = usage_error(capsys, service, "--scenario", "sustained", *args)
     assert line == (
         f"wyner: --run-dir: {tmp_path}: holds a run of another scenario (paper), "

@@ -33,17 +33,8 @@ def test_an_axis_is_in_words_with_its_unit(column: str, words: str) -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_a_curve_on_the_bound_is_seen(share: float) -> None:
     """The homework's figure showed nothing: all values lay on the frame."""
-    rows = [
-        {
-            "scenario": "s",
-            "variant": "",
-            "a": x,
-            "runs": 1,
-            "steps": 2,
-            "k keys known": share,
-        }
-        for x in (1, 2, 3)
-    ]
+    one = {"scenario": "s", "variant": "", "runs": 1, "steps": 2, "k keys known": share}
+    rows = [{**one, "a": x} for x in (1, 2, 3)]
     figure = Figure()
     draw_rows(figure, rows, ["a"], "a", ["k keys known"])
     (axes,) = figure.axes

@@ -6,12 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.run_folder import (
-    BELIEFS,
-    CONTROLLER_STATUS,
-    PLANT_STATUS,
-    SCENARIO,
-)
+from runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS, SCENARIO
 from tests.support.scenarios import text_of
 from wyner.cli.main import main
 

@@ -27,16 +27,8 @@ from tests.support.statuses import changed
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.model import Arrival, LoopState, reduce
 from wyner.dashboard.score import contradictions
-from wyner.dashboard.text import (
-    count,
-)
-from wyner.dashboard.view import (
-    HELP,
-    KEYS,
-    SILENT_AFTER_NS,
-    ViewState,
-    screen,
-)
+from wyner.dashboard.text import count
+from wyner.dashboard.view import HELP, KEYS, SILENT_AFTER_NS, ViewState, screen
 
 SCREENS = Path(__file__).parent / "screens"
 PLAIN = ViewState()

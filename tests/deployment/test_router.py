@@ -11,13 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import (
-    ADVERSARY,
-    FIELD,
-    MANAGEMENT,
-    Measurement,
-    Offer,
-)
+from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Measurement, Offer
 from protocol.topics import key_of
 from runtime.addresses import TlsFiles, free_endpoints
 from runtime.bus import Deliver

@@ -112,31 +112,27 @@ def test_residuals_that_depend_on_their_neighbours_are_told(
     assert any("fewer steps are independent" in line for line in found["warnings"])
 
 
+HEAD = "position,speed,force\n"
+STEP = HEAD + "1,2,3\n"
+
+
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
         ("", [], "cart.csv: expected a line of names"),
-        ("position,speed,force\n1,2,x\n", [], "cart.csv: line 2: force: got 'x', expected a numb"),
-        ("position,speed,force\n1,2\n", [], "cart.csv: line 2: got 2 columns, expected 3"),
-        ('position,speed,force\n1,2,"3\n4"\n', [], "force: got '3\\n4', expected a number"),
+        (HEAD + "1,2,x\n", [], "cart.csv: line 2: force: got 'x', expected a numb"),
+        (HEAD + "1,2\n", [], "cart.csv: line 2: got 2 columns, expected 3"),
+        (HEAD + '1,2,"3\n4"\n', [], "force: got '3\\n4', expected a number"),
         ("position,speed\n1,2\n", [], "has no column 'force', expected one of: position, speed"),
         ("position,position,speed,force\n1,2,3,4\n", [], "has two columns 'position'"),
-        ("position,speed,force\n" + "1,2,3\n" * 4, [], "got 1 steps to identify A and B"),
-        ("position,speed,force\n" + "1,2,3\n" * 40, [], "input force is 3 throughout"),
-        (
-            "position,speed,force\n1,2,3\n",
-            ["--sessions", "100"],
-            "--sessions: is for a plant that is run",
-        ),
-        ("position,speed,force\n1,2,3\n", ["--violation", "2"], "--violation: got 2, expected"),
-        ("position,speed,force\n1,2,3\n", ["--period", "-1"], "--period: got -1, expected more"),
-        ("position,speed,force\n1,2,3\n", ["--inputs", "force,,"], "expected names of columns"),
-        ("position,speed,force\n1,2,3\n", ["--inputs", "speed"], "'speed' is named twice"),
-        (
-            "position,speed,force\n1,2,3\n",
-            ["--states", "a,b,c,d,e"],
-            "got 5 and 1, expected 1 to 4",
-        ),
+        (HEAD + "1,2,3\n" * 4, [], "got 1 steps to identify A and B"),
+        (HEAD + "1,2,3\n" * 40, [], "input force is 3 throughout"),
+        (STEP, ["--sessions", "100"], "--sessions: is for a plant that is run"),
+        (STEP, ["--violation", "2"], "--violation: got 2, expected"),
+        (STEP, ["--period", "-1"], "--period: got -1, expected more"),
+        (STEP, ["--inputs", "force,,"], "expected names of columns"),
+        (STEP, ["--inputs", "speed"], "'speed' is named twice"),
+        (STEP, ["--states", "a,b,c,d,e"], "got 5 and 1, expected 1 to 4"),
     ],
 )
 def test_what_is_no_recording_is_one_line(
