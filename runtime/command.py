@@ -14,12 +14,9 @@ from typing import Final
 
 from protocol.errors import WynerError
 from protocol.text import printable
-from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError, in_a_line
 from runtime.hanging import leave
 from runtime.services import SERVICES
-
-UNIX: Final = ("fcntl", "resource", "termios", "pty")
-"""Modules of Python's library that other systems lack."""
 
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 
@@ -55,7 +52,7 @@ def carry_out(command: Callable[[], int]) -> int:
         if os.environ.get("WYNER_TRACEBACK"):
             raise
         _flush_or_drop_output()
-        print(f"wyner: {printable(_in_a_line(error))}", file=sys.stderr)
+        print(f"wyner: {printable(in_a_line(error))}", file=sys.stderr)
         named = isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP)
         return USAGE if named else FAILED
 
@@ -147,16 +144,3 @@ def _flush_or_drop_output() -> None:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _in_a_line(error: Exception) -> str:
-    if isinstance(error, ModuleNotFoundError) and error.name in UNIX:
-        return (
-            f"this system has no {error.name}: the commands need Linux; the library "
-            "(from wyner import design, run, eavesdrop) does not"
-        )
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    if isinstance(error, OSError) and error.strerror is not None:
-        return error.strerror
-    return " ".join(f"unexpected {type(error).__name__}: {error}".split())

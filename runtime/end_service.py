@@ -7,12 +7,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from protocol.errors import WynerError
 from protocol.link.pacing import STATUS_S
 from protocol.scenario import Scenario, ScenarioError
 from runtime.bus_options import ServiceOptions, buses_of, endpoints_of
 from runtime.collection import freeze_startup
-from runtime.errors import Failure, UsageError
+from runtime.errors import UsageError, in_a_line
 from runtime.fleet import FLEET_STATUS_S, FleetLoop, loops_of
 from runtime.host import Host
 from runtime.options import fine, folder_of, option, pace_of, run_dir_of
@@ -133,17 +132,11 @@ def run_end(
             except Exception as error:
                 if not many:
                     raise
-                log.error("loop %s: %s", loop.id, _in_a_line(error))
+                log.error("loop %s: %s", loop.id, in_a_line(error))
         freeze_startup()
         if many:
             log.info("%d of %d loops run", len(host.loops), len(loops))
         return host.run()
-
-
-def _in_a_line(error: Exception) -> str:
-    if isinstance(error, UsageError | Failure | WynerError | OSError):
-        return str(error).replace("\n", "; ")
-    return f"unexpected {type(error).__name__}: {error}"
 
 
 def check_loops(

@@ -76,3 +76,23 @@ def writing(what: str) -> Iterator[None]:
 def needs(what: str, package: str) -> str:
     """One line: ``what`` asks for a package that is not there, and how this very Python gets it."""
     return f"{what}: needs {package}: {sys.executable} -m pip install {package}"
+
+
+UNIX: Final = ("fcntl", "resource", "termios", "pty")
+"""Modules of Python's library that other systems lack."""
+
+
+def in_a_line(error: Exception) -> str:
+    """What is said of an error where there is one line for it."""
+    if isinstance(error, UsageError | Failure | WynerError):
+        return str(error).replace("\n", "; ")
+    if isinstance(error, ModuleNotFoundError) and error.name in UNIX:
+        return (
+            f"this system has no {error.name}: the commands need Linux; the library "
+            "(from wyner import design, run, eavesdrop) does not"
+        )
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror
+    return " ".join(f"unexpected {type(error).__name__}: {error}".split())
