@@ -80,7 +80,7 @@ def test_parts_end_by_size_and_the_oldest_go(
         log = record(path, 500, limits)
         log.close()
     on_disk = sum(p.stat().st_size for p in parts_of(path))
-    assert limits.total_bytes - 2 * limits.part_bytes < on_disk <= limits.total_bytes
+    assert on_disk <= limits.total_bytes
     assert log.parts_dropped > 0
     assert log.written == 500
     assert "part dropped" in caplog.text
@@ -95,14 +95,16 @@ def test_all_parts_together_never_exceed_their_bound(tmp_path: Path, part_bytes:
     limits = Bounds(part_bytes=part_bytes, total_bytes=20_000, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {"loop": "x" * 300}, limits, LOG)
-    most = 0
+    most, least = 0, limits.total_bytes
     for k in range(1000):
         log.write(line_of(measurement(k)))
         log.flush()
         on_disk = sum(p.stat().st_size for p in parts_of(path))
         assert on_disk <= limits.total_bytes
         most = max(most, on_disk)
+        least = min(least, on_disk) if log.parts_dropped else least
     log.close()
+    assert least > limits.total_bytes - 3 * limits.of_a_part
     assert most > limits.total_bytes - limits.total_bytes // 2
     assert [m.k for m in read(path)[1]][-1] == 999
     assert len(parts_of(path)) > 1
