@@ -105,3 +105,16 @@ def test_numbers_that_the_plant_does_not_give_are_one_line(tmp_path: Path) -> No
 def test_a_device_whose_states_nobody_knows_is_one_line() -> None:
     with pytest.raises(SimulationError, match=r"plant\.C: expected none of a device"):
         run(by_position(device=True), steps=2, plant=Device(encoder()))
+
+
+def test_noise_that_is_simulated_is_refused_of_a_device() -> None:
+    """It was added by :func:`wyner.run` and left out by the service."""
+    data = json.loads(scenario_of_a_line().model_dump_json(exclude_none=True, exclude_unset=True))
+    data["defender"]["noise"] = {"half_widths": [0.004, 0.004]}
+    data["plant"]["noise"] = {"kind": "corners", "half_widths": [0.004, 0.004]}
+    scenario, device = build(data), Device()
+    with pytest.raises(PlantError, match=r"^plant\.noise: expected none of a device"):
+        Simulation(scenario, law_of(scenario), seed=2, step_s=1.0, own=lambda: device)
+    with pytest.raises(SimulationError, match=r"^plant\.noise: expected none of a device"):
+        run(scenario, steps=2, plant=device)
+    assert "apply" not in device.calls
