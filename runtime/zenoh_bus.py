@@ -434,7 +434,7 @@ class ZenohBus(Bus):
         nap = _Nap()
         threads: set[int] = set()
 
-        def receive(sample: zenoh.Sample) -> None:
+        def receive(sample: "zenoh.Sample") -> None:
             if (thread := get_ident()) not in threads:
                 threads.add(thread)
                 _keep_thread_state()
