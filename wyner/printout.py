@@ -19,10 +19,6 @@ class Printout:
     figures: dict[str, Any]
     lines: list[str]
 
-    def to_json(self) -> dict[str, Any]:
-        """One object for machines."""
-        return self.figures
-
     def __str__(self) -> str:
         """Lines for people."""
         return "\n".join(self.lines)

@@ -1,4 +1,4 @@
-"""Plants that act: the order of a step, what dies in between, watchdog, safe state, doubt."""
+"""Plants that act: the order of a step, failures, watchdog and safe state."""
 
 import json
 import threading
@@ -16,16 +16,14 @@ from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
-from plant_service.punctuality import ReachWatch
 from plant_service.service import PlantConfig, add_plant
 from plant_service.status import PlantTelemetry
-from protocol.agreement import AgreementResult
 from protocol.link.effects import Effects, Publish, Save, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.step import IDLE, Begun, Read
 from protocol.messages import ControllerHello, Measurement, Offer
-from protocol.scenario import Calibration, Scenario
+from protocol.scenario import Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
 from protocol.topics import key_of
 from runtime.bus import TransportError
@@ -124,16 +122,8 @@ class Bench:
         self.hear(now, verdict="greeting")
 
     def accept(self, now: float) -> None:
-        self.answer(now, "accepted")
-
-    def refuse(self, now: float) -> None:
-        """The controller does not know the session: it is over."""
-        self.answer(now, "unknown-session")
-
-    def answer(self, now: float, verdict: str) -> None:
-        receiver = self.endpoint
-        session = receiver.state.record.session.id
-        self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
+        session = self.endpoint.state.record.session.id
+        self.hear(now, verdict="accepted", session=session, answers=self.endpoint.instance)
 
     def hear(self, now: float, **said: Any) -> None:
         fingerprint = self.endpoint.state.rules.fingerprint
@@ -210,63 +200,27 @@ def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallba
 # --- what dies in between -------------------------------------------------------------------------
 
 
-def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
-    device = Device()
-    bench = Bench(device)
-    bench.do(bench.offer(0.2))  # applied, and then the process dies
-    begun = bench.journal.load().step
-    assert isinstance(begun, Begun)
-    offer, coin = begun
-    session = bench.record.session.id
-    back = Bench(Device(), bench.journal)
-    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert event.coin == coin
-    assert event.u == offer.candidates[coin]
-    assert (event.k, event.x_next) == (0, tuple(v / 2 for v in back.device.y))
-    record = back.record
-    assert (record.session.id, record.link.k, record.link.transitions, record.applied.missed) == (
-        session,
-        1,
-        0,
-        1,
-    )
-    assert record.link.applied_k == -1  # never reported, so tested by neither end
-    again = Bench(Device(), bench.journal)
-    assert again.record.link.k == 2  # whoever is away for a while has missed a step again
-
-
-# --- what ends in between -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("fallback", ["hold", "zero"])
-@pytest.mark.parametrize("ends", [False, True], ids=["greeted", "ended"])
 def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
-    ends: bool, fallback: str
+    fallback: str,
 ) -> None:
     """What is saved while a device acts names the step: after a death its input is not made up."""
     bench = Bench(Device(), fallback=fallback)
     bench.do(bench.offer(0.2))
     begun = bench.journal.load().step
     assert isinstance(begun, Begun)
-    offer, coin = begun
-    if ends:
-        bench.refuse(0.5)
-    else:
-        bench.greet(0.5)
+    bench.greet(0.5)
     assert bench.journal.load().step == begun
-    session = bench.record.session.id
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert (event.session, event.coin) == (session, coin)
-    assert event.u == offer.candidates[coin] != (0.0,)
+    assert (event.session, event.coin) == (bench.record.session.id, begun.coin)
+    assert event.u == begun.offer.candidates[begun.coin] != (0.0,)
     assert (back.record.link.transitions, back.record.applied.missed) == (0, 1)
     assert back.journal.load().step is IDLE
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
-    assert (
-        back.record.applied.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
-    )
-    bench.journal.close()
+    given = event.u if fallback == "hold" else (0.0,)
+    assert back.record.applied.u == given == (back.device.u / 2,)
 
 
 # --- failures -------------------------------------------------------------------------------------
@@ -409,31 +363,3 @@ def test_a_service_that_cannot_start_leaves_its_device_safe(
     with pytest.raises((OSError, TransportError)):
         device_service(device, tmp_path, monkeypatch, threading.Event())
     assert device.calls == ["start", "safe", "close"]
-
-
-# --- punctuality and doubt ------------------------------------------------------------------------
-
-
-def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
-    promise = Calibration(
-        sessions=100,
-        steps=10,
-        exceeded=0,
-        violation=0.05,
-        confidence=0.99,
-        law_fingerprint="x",
-    )
-    watch = ReachWatch(promise)
-    told = []
-    for step in range(200):
-        out = step % 20 == 0  # every second session of ten steps
-        told.append(watch.counted(AgreementResult((1.5, 2.0) if out else (0.5, 2.0), -1), 0))
-    lines = [line for line in told if line]
-    assert (watch.outside, watch.sessions, watch.exceeded) == (10, 20, 10)
-    assert len(lines) == 1
-    assert "expected at most 0.05 of them; fit it anew" in lines[0]
-    assert watch.doubt
-    kept = ReachWatch(promise)
-    for step in range(2000):
-        kept.counted(AgreementResult((1.5, 0.5) if step == 700 else (0.5, 2.0), -1), 0)
-    assert (kept.outside, kept.doubt) == (1, "")

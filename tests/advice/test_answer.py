@@ -18,7 +18,7 @@ from wyner.simulate.engine import simulate_runs
 
 def told(name: str) -> tuple[dict[str, Any], list[str]]:
     report = design_report(scenario_of(name), SCENARIOS)
-    found = json.loads(json.dumps(report.to_json()))["answer"]
+    found = json.loads(json.dumps(report.figures))["answer"]
     assert list(bare_figures(found)) == []
     return found, str(report).partition("\n\n")[0].splitlines()
 

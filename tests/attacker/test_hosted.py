@@ -1,25 +1,18 @@
 """An attack where it stands: what it is told, and what comes of one that fails."""
 
 import logging
-import queue
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
 from attacker_service.attacker import Attacker
-from attacker_service.relay import Relay
 from plant_service.plant import Disturbances, FilteredPlant, LinearModel
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Offer
 from protocol.scenario import AttackTable, Scenario
-from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
 from runtime.scenario_file import attack_option, scenario_of
-from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -37,30 +30,22 @@ def attacked(scenario: Scenario, attack: AttackTable) -> FilteredPlant:
     return FilteredPlant(plant, [Attacker(scenario, attack, 1)], scenario.initial_state)
 
 
-def steps(plant: FilteredPlant, count: int) -> list[tuple[float, ...]]:
-    """What is reported of so many steps under no input."""
-    said = []
-    for k in range(count):
-        plant.begin(k, (), (0.0,))
-        said.append(plant.end(k))
-    return said
+def one(plant: FilteredPlant, k: int) -> tuple[float, ...]:
+    """What is reported of a step under no input."""
+    plant.begin(k, (), (0.0,))
+    return plant.end(k)
 
 
 def test_before_the_onset_the_truth_passes_and_then_the_attack(scenario: Scenario) -> None:
     plant = attacked(scenario, AttackTable(kind=f"{OWN}:Frozen", onset=3))
     truths = []
     for k in range(5):
-        (said,) = steps(plant, 1) if k == 0 else [_one(plant, k)]
+        said = one(plant, k)
         assert plant.truth is not None
         truths.append((said == plant.truth.x_next, said))
     assert [same for same, _ in truths] == [True, True, False, False, False]
     assert truths[1][1] == truths[2][1] == truths[4][1]
     assert plant.close() == ""
-
-
-def _one(plant: FilteredPlant, k: int) -> tuple[float, ...]:
-    plant.begin(k, (), (0.0,))
-    return plant.end(k)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +67,7 @@ def test_one_that_fails_is_a_line_and_the_truth_passes(
     with caplog.at_level(logging.ERROR):
         failed = []
         for k in range(4):
-            said = _one(plant, k)
+            said = one(plant, k)
             assert plant.truth is not None
             assert said == plant.truth.x_next
             failed.append(plant.truth.failed)
@@ -142,48 +127,30 @@ def test_a_wrong_option_is_one_line(text: str, expected: str) -> None:
     assert caught.value.problems[0].startswith(expected)
 
 
-class Passed:
-    """What a relay makes of each message, in a thread of its own for as long as one needs."""
-
-    def __init__(self, relay: Relay, plants: MemoryBus, controllers: MemoryBus) -> None:
-        self.relay = relay
-        self.put: dict[type[Message], Callable[[bytes], None]] = {
-            Measurement: MemoryBus(plants.hub).publisher(key_of(Measurement, DEFAULT_LOOP)).put,
-            Offer: MemoryBus(controllers.hub).publisher(key_of(Offer, DEFAULT_LOOP)).put,
-        }
-        self.heard: queue.Queue[bytes] = queue.Queue()
-        for hub, kind in ((controllers.hub, Measurement), (plants.hub, Offer)):
-            key = key_of(kind, DEFAULT_LOOP)
-            MemoryBus(hub).subscribe(key, lambda _key, payload, _t_ns: self.heard.put(payload))
-
-    def on(self, message: M) -> M:
-        """The message as it comes out at the other end."""
-        stopping = threading.Event()
-        thread = threading.Thread(target=self.relay.run, args=(stopping,))
-        thread.start()
-        self.put[type(message)](message.wire())
-        payload = self.heard.get(timeout=PATIENCE_S)
-        stopping.set()
-        thread.join(PATIENCE_S)
-        return type(message).model_validate_json(payload)
+COVERT = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+OFFER = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
 
 
-def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scenario) -> None:
-    plants, controllers = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
-    attack = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
-    attacker = Attacker(scenario, attack, 1)
-    passed = Passed(Relay(attacker, plants, controllers, DEFAULT_LOOP), plants, controllers)
-    offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
-    got = passed.on(offer)
+def passed(attacker: Attacker, message: M) -> M:
+    """The message as it comes out at the other end."""
+    kind = type(message)
+    return kind.model_validate_json(attacker.incoming(kind, message.wire()))
+
+
+def test_on_the_bus_both_ways_are_rewritten_and_a_repeated_message_alike(
+    scenario: Scenario,
+) -> None:
+    attacker = Attacker(scenario, COVERT, 1)
+    got = passed(attacker, OFFER)
     assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
-    assert passed.on(offer) == got
+    assert passed(attacker, OFFER) == got
     x = (1.0, 1.0)
     m = Measurement(session="0" * 16, k=3, x=x, applied_k=2, x_after=x)
-    said = passed.on(m)
+    said = passed(attacker, m)
     assert said.x == said.x_after == pytest.approx((1 - 0.3 * 0.0246, 1 - 0.3 * 0.4877))
-    assert passed.on(m) == said
+    assert passed(attacker, m) == said
     later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
-    assert passed.on(later).x_after == said.x, "the same state is said alike"
+    assert passed(attacker, later).x_after == said.x, "the same state is said alike"
 
 
 JUNK = (
@@ -195,13 +162,11 @@ JUNK = (
 )
 
 
-def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
-    attack = AttackTable.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
-    attacker = Attacker(scenario, attack, 1)
-    junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
+def test_junk_on_the_bus_costs_an_attack_nothing(scenario: Scenario) -> None:
+    attacker = Attacker(scenario, COVERT, 1)
+    junk = [*JUNK, OFFER.model_copy(update={"candidates": ((1.0, 2.0),)}).wire()]
     for kind in (Measurement, Offer):
         for payload in junk:
             assert attacker.incoming(kind, payload) == payload, "it goes on as it came"
-    offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
-    got = Offer.model_validate_json(attacker.incoming(Offer, offer.wire()))
+    got = passed(attacker, OFFER)
     assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])

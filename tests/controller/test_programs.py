@@ -13,6 +13,7 @@ from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, synthesise
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
+from tests.controller.test_plants import plant
 
 TOP = np.array([6.0, 6.0, 1.7, 1.3])
 
@@ -99,35 +100,10 @@ def test_the_general_route_gives_what_the_planar_one_gives() -> None:
     assert np.abs(left - right).max() < 1e-10
 
 
-def three_states(**control: Any) -> Scenario:
-    """Three integrators in a chain with one input and a box of states."""
-    return Scenario.model_validate(
-        {
-            "name": "chain",
-            "plant": {
-                "A": [[0.9, 0.2, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]],
-                "B": [[0.0], [0.1], [0.5]],
-                "period_s": 0.1,
-                "initial_state": [0.5, 0.0, 0.0],
-                "disturbance": {"half_widths": [0.01, 0.01, 0.01]},
-            },
-            "defender": {"disturbance": {"half_widths": [0.02, 0.02, 0.02]}},
-            "control": {
-                "horizon": 8,
-                "inputs": {"half_widths": [1.0]},
-                "states": {"half_widths": [3.0, 3.0, 3.0]},
-                "gain": [[-0.05, -0.02, -0.01]],
-                **control,
-            },
-            "secrecy": {"alpha": 4.0},
-        }
-    )
-
-
 def test_plants_beyond_the_route_are_refused() -> None:
-    data = three_states().model_dump(exclude_none=True)
-    data["plant"]["B"] = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]
-    data["control"]["inputs"] = {"half_widths": [1.0, 1.0, 1.0]}
-    data["control"]["gain"] = [[-0.1, 0.0, 0.0]] * 3
+    data = plant(3, 2, "stable", 5).model_dump(exclude_none=True)
+    data["plant"]["B"] = np.eye(3).tolist()
+    data["control"]["inputs"] = {"half_widths": [1.0] * 3}
+    data["control"]["regulator"]["input"] = [1.0] * 3
     with pytest.raises(SynthesisError, match="3 states and 3 inputs"):
         synthesise(Scenario.model_validate(data))

@@ -12,7 +12,6 @@ from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 from tests.support.patience import PATIENCE_S
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
-from wyner.deployment.access import access_control
 from wyner.deployment.supervisor import Child, Supervisor
 
 PACKAGE = "counting_service"
@@ -85,21 +84,7 @@ def test_the_command_lists_it_and_has_its_options(
     assert "BUS is one of: field, management" in capsys.readouterr().out
     assert main(["counting"]) == 2
     assert capsys.readouterr().err.startswith("wyner: the following arguments are required")
-
-
-def test_the_router_lets_it_publish_its_own_and_nothing_else(counting: Service) -> None:
-    table = access_control("management")
-    rules = {rule["id"]: rule for rule in table["rules"]}
-    (policy,) = (p for p in table["policies"] if p["subjects"] == ["counting"])
-    assert policy["rules"] == ["subscribe", "deliver", "publish-counting"]
-    assert rules["publish-counting"]["key_exprs"] == ["wyner/v2/*/management/counting/status"]
-    others = [
-        r for name, r in rules.items() if name.startswith("publish-") and "counting" not in name
-    ]
-    assert not any("counting" in key for r in others for key in r["key_exprs"])
-    (policy,) = (p for p in access_control("field")["policies"] if p["subjects"] == ["counting"])
-    assert policy["rules"] == ["subscribe", "deliver"]
-    assert "counting" in default_names()
+    assert "counting" in default_names(), "it has a certificate"
 
 
 def test_it_is_supervised_and_its_health_is_told(

@@ -5,44 +5,12 @@ Each control breaks one rule on purpose, beside the proper one that holds.
 
 import random
 
-import numpy as np
 import pytest
 
 from protocol.secret.bound import Assumption
-from protocol.secret.extractor import extract, words
-from protocol.secret.galois import product
 from studies.keys import CONTROLS
 from tap_service.eavesdroppers.key_solver import bits_held
 from tap_service.inference.miss_rate import Misses
-from tests.support.known_rows import held
-
-COPIES = 256
-
-
-def heard(generator: random.Random, nonces: list[bytes], missed: int) -> list[bytes | None]:
-    gone = set(generator.sample(range(len(nonces)), missed))
-    return [None if j in gone else nonce for j, nonce in enumerate(nonces)]
-
-
-@pytest.mark.parametrize(
-    ("rows", "bits"), [(1, 0), (16, 0), (23, 0), (24, 0), (25, 256), (26, 512), (32, 2048)]
-)
-def test_one_row_too_many_is_one_row_she_holds(rows: int, bits: int) -> None:
-    generator = random.Random(rows)
-    nonces = [generator.randbytes(32) for _ in range(COPIES)]
-    combinations, values = held(heard(generator, nonces, 24), rows)
-    assert 256 * len(combinations) == bits == bits_held(rows, 24)
-    # what she computes is right, of all keys
-    keys = words(extract(nonces, rows))
-    assert (product(combinations, keys) == values).all()
-
-
-def test_who_hears_all_holds_all() -> None:
-    generator = random.Random(0)
-    nonces = [generator.randbytes(32) for _ in range(60)]
-    combinations, values = held(list(nonces), 10)
-    assert (combinations == np.eye(10)).all()
-    assert (values == words(extract(nonces, 10))).all()
 
 
 @pytest.mark.parametrize("control", CONTROLS)

@@ -8,7 +8,7 @@ import pytest
 from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario
-from tests.adapters.plants import PythonLine, build_fmu, line, operated
+from tests.adapters.plants import PythonLine, build_fmu
 from wyner.api import System, build, design, load, run, vary
 from wyner.simulate.engine import Runs, SimulationError, simulate_runs
 
@@ -38,26 +38,6 @@ def same(one: Runs, two: Runs) -> None:
     assert (one.symbol == two.symbol).all()
     assert np.abs(one.x - two.x).max() < 1e-12
     assert np.abs(one.gauges - two.gauges).max() < 1e-9
-
-
-@pytest.mark.parametrize("kind", ["linear", "ode", "gymnasium"])
-def test_a_disturbed_plant_is_the_engines(kind: str, system: System, tmp_path: Path) -> None:
-    engine = simulate_runs(
-        system.scenario, system.law, seed=3, runs=range(2), steps=STEPS, record=True
-    )
-    mine = simulate_runs(
-        system.scenario,
-        system.law,
-        plant=lambda: operated(line(kind, tmp_path)),
-        record=True,
-        seed=3,
-        runs=range(2),
-        steps=STEPS,
-    )
-    same(engine, mine)
-    assert (engine.symbol >= 0).sum() >= 8
-    assert mine.state_cost == pytest.approx(engine.state_cost)
-    assert mine.input_effort == pytest.approx(engine.input_effort)
 
 
 def tables(undisturbed: System) -> dict[str, object]:

@@ -1,6 +1,5 @@
 """What any tap leaves who watches through noise: closed forms, enumeration, taps, and pitfalls."""
 
-import itertools
 import math
 
 import numpy as np
@@ -109,34 +108,3 @@ def test_all_sequences_of_eight_coins_weighed_by_one_who_knows_d(
     assert left.bits - 3 * left.bits_error >= coin.bits
     # and the bound is no idle one
     assert left.bits < 1.05 * coin.bits
-
-
-# --- keys ----------------------------------------------------------------------------------------
-
-
-def test_a_short_hash_is_as_near_to_uniform_as_the_lemma_says() -> None:
-    """Every seed, every coin, a grid of what she saw: the distance itself beside its bound."""
-    coin = Coin(np.array([[-1.0], [1.0]]), 1.3)
-    n, y = 4, np.linspace(-6, 6, 7)
-    p = np.exp(-0.5 * ((y - coin.offsets) / coin.deviation) ** 2)
-    p /= p.sum(axis=1, keepdims=True)
-    words = np.array(list(itertools.product((0, 1), repeat=n)))
-    seen = np.array(list(itertools.product(range(len(y)), repeat=n)))
-    joint = np.prod(p[words[:, None], seen[None]], axis=2) / len(words)  # P(word, what she saw)
-    for length in (1, 2):
-        seeds = itertools.product((0, 1), repeat=n + length - 1)
-        total, count = 0.0, 0
-        for s in seeds:
-            seed = np.array(s, np.uint8)
-            T = seed[np.arange(length)[:, None] - np.arange(n) + n - 1]  # a Toeplitz matrix
-            place = words @ T.T % 2 @ 2 ** np.arange(length)
-            hashes = np.zeros((2**length, len(seen)))
-            np.add.at(hashes, place, joint)
-            total += np.abs(hashes - joint.sum(axis=0) / 2**length).sum()
-            count += 1
-        for order in (1.2, 1.5, 2.0):
-            norm_s = (joint**order).sum(axis=0) ** (1 / order)
-            assert (
-                total / count
-                <= 2 ** (2 / order - 1) * 2 ** (length * (1 - 1 / order)) * norm_s.sum()
-            )

@@ -1,15 +1,13 @@
 """What a tap can compute of a key block, by linear algebra over the field: whatever there is.
 
-Elimination finds the combinations of rows that no missed nonce enters. The project counts them by a
-formula; this is the yardstick that the formula is held against.
+Elimination finds the combinations of rows that no missed nonce enters.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from protocol.secret.extractor import cauchy, words
-from protocol.secret.galois import Words, inverse, multiply, product
+from protocol.secret.galois import Words, inverse, multiply
 
 
 def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
@@ -50,20 +48,3 @@ def without(G: Words, gone: Sequence[int]) -> Words:
     unit = np.eye(len(G), dtype=np.uint16)
     reduced, rank = eliminate(np.hstack((G[:, gone], unit)), len(gone))
     return reduced[rank:, len(gone) :]
-
-
-def held(nonces: Sequence[bytes | None], rows: int) -> tuple[Words, Words]:
-    """Combinations of a block's rows that a tap knows, and their values as she computes them.
-
-    Parameters
-    ----------
-    nonces : sequence of bytes or None
-        The counted copies in order; None where she missed one.
-    rows : int
-        R, rows of the block, the public one included.
-    """
-    G = cauchy(rows, len(nonces))
-    combinations = without(G, [j for j, nonce in enumerate(nonces) if nonce is None])
-    heard = [j for j, nonce in enumerate(nonces) if nonce is not None]
-    known = product(G[:, heard], words([nonce for nonce in nonces if nonce is not None]))
-    return combinations, product(combinations, known)

@@ -22,7 +22,6 @@ from protocol.messages.adversary import BeliefStatus, TailGuess
 from protocol.messages.management import PicturedStep, TailStep
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
-from protocol.vectors import Vector
 from wyner.dashboard.model import Arrival
 
 MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
@@ -93,24 +92,14 @@ class Rehearsal:
         tail: list[TailStep] = []
         solved_k = -1
 
-        def candidates(x: Vector) -> tuple[Vector, ...]:
+        for k in range(steps):
             quiet = [sum(g * v for g, v in zip(row, x, strict=True)) for row in self.gain]
             first = tuple(max(-6.0, min(6.0, v)) for v in quiet)
-            return first, tuple(v + draw.uniform(0.1, 1.4) for v in first)
-
-        def toss(_k: int) -> int:
+            offered = first, tuple(v + draw.uniform(0.1, 1.4) for v in first)
             coin = draw.randrange(2)
             draw.randrange(2)  # the cover
-            return coin
-
-        def move(_k: int, x: Vector, u: Vector) -> Vector:
-            d = [draw.uniform(-w, w) * 0.83 for w in self.half_widths]
-            centre = predict(self.A, self.B, x, u)
-            return tuple(c + v for c, v in zip(centre, d, strict=True))
-
-        for k in range(steps):
-            offered, coin = candidates(x), toss(k)
-            x_next = move(k, x, offered[coin])
+            centre = zip(predict(self.A, self.B, x, offered[coin]), self.half_widths, strict=True)
+            x_next = tuple(c + draw.uniform(-w, w) * 0.83 for c, w in centre)
             verdict = rule.verdict(x, offered, x_next)
             m_p = frame_symbols[p] if p < len(frame_symbols) else IDLE
             tested = scheme.tests(state)

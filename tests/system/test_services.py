@@ -50,24 +50,6 @@ class Heard(RecordedPair):
         super().said(side, message)
 
 
-class Hurried(Heard):
-    """Somebody answers each measurement before it is sent."""
-
-    def said(self, side: Name, message: Mail) -> None:
-        super().said(side, message)
-        said = self.all[-1]
-        if isinstance(said, Offer):
-            self.mail["plant"].append(mail(said.model_copy(update={"k": said.k + 1})))
-
-
-def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(tmp_path: Path) -> None:
-    loop = Hurried(tmp_path, b"one")
-    loop.steps(60)
-    answered = {said.k for said in loop.all if isinstance(said, Offer)}
-    assert {e["k"] for e in events_of(tmp_path / PLANT_TRACE, "transition")} <= answered
-    assert loop.now >= 58 * loop.scenario.plant.period_s
-
-
 def test_field_messages_look_the_same_in_both_states(tmp_path: Path) -> None:
     loop = RecordedPair(tmp_path, b"one", pace="fast")
     loop.steps(400)

@@ -1,4 +1,4 @@
-"""A user's eavesdropper: whatever she does beside the mirror, she stops herself alone."""
+"""The process beside the mirror, and a user's eavesdropper in it, who stops herself alone."""
 
 import json
 import logging
@@ -10,19 +10,20 @@ import pytest
 
 from protocol.messages import FieldMessage, TapStatus
 from runtime.recording import Bounds
-from runtime.run_folder import BELIEFS
+from runtime.run_folder import BELIEFS, CAPTURE
 from studies.secrecy.runs import Run, simulate
 from tap_service.analysis import Assignment
 from tap_service.beside import Beside
 from tap_service.capture.channel import View
+from tap_service.capture.recording import RotatingLog, mirror_line
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
-from tests.tap.test_analysis import header, record
 from tests.tap.test_service import Wire, config
 from wyner.runs.run import guess_logs
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import EavesdropperError, listen
 
+LOG = logging.getLogger("test")
 GUEST = """
 import os, sys, time
 import numpy as np
@@ -55,23 +56,62 @@ def guest(tmp_path: Path, act: str = "pass") -> str:
     return f"{path}:Mine"
 
 
+def header(run: Run, view: View) -> dict[str, object]:
+    return {
+        "loop": "loop",
+        "knowledge": run.scenario.knowledge().model_dump(mode="json"),
+        "view": view.model_dump(mode="json"),
+    }
+
+
+def record(run: Run, run_dir: Path, view: View) -> None:
+    log = RotatingLog(run_dir / CAPTURE, header(run, view), Bounds(free_bytes=0), LOG)
+    for i, message in enumerate(run.messages):
+        log.write(mirror_line(i, message.topic, message.wire()))
+    log.close()
+
+
+def beside(run: Run, run_dir: Path, name: str, answer_s: float = 0.0) -> Beside:
+    """The process beside the mirror, with one eavesdropper."""
+    told, limits = {name: run.scenario.knowledge()}, Bounds(free_bytes=0)
+    guesses = Path("tap/analysis-1.jsonl")
+    return Beside(Assignment(run_dir, guesses, told, limits, header(run, View()), answer_s), LOG)
+
+
+def said_by(process: Beside, run: Run) -> list[tuple[TapStatus, dict[str, Any]]]:
+    """What she says when no more is captured."""
+    process.finish()
+    try:
+        for _ in process.last_reports(time.monotonic() + PATIENCE_S, len(run.messages)):
+            pass
+        return list(process.reports(len(run.messages)))
+    finally:
+        process.close()
+
+
 def heard(
     tmp_path: Path, run: Run, act: str, answer_s: float = PATIENCE_S
 ) -> tuple[TapStatus, dict[str, Any]]:
     """What she says at the end of a capture."""
     record(run, tmp_path, View())
-    limits, told = Bounds(free_bytes=0), {guest(tmp_path, act): run.scenario.knowledge()}
-    guesses = Path("tap/analysis-1.jsonl")
-    given = Assignment(tmp_path, guesses, told, limits, header(run, View()), answer_s)
-    beside = Beside(given, logging.getLogger("test"))
-    beside.finish()
-    try:
-        for _ in beside.last_reports(time.monotonic() + PATIENCE_S, len(run.messages)):
-            pass
-        (report,) = beside.reports(len(run.messages))
-    finally:
-        beside.close()
+    (report,) = said_by(beside(run, tmp_path, guest(tmp_path, act), answer_s), run)
     return report
+
+
+@pytest.mark.slow
+def test_it_waits_for_a_capture_of_its_own_settings(run: Run, tmp_path: Path) -> None:
+    record(run, tmp_path, View(loss=0.5))
+    process = beside(run, tmp_path, "nearest-centre")
+    assert list(process.reports(0)) == []
+    record(run, tmp_path, View())
+    wait_for(lambda: list(process.reports(0)), "a first look")
+    ((status, _),) = said_by(process, run)
+    assert (status.steps, status.behind, status.unused.dropped) == (6, 0, 0)
+
+
+@pytest.mark.slow
+def test_it_ends_also_while_it_waits(run: Run, tmp_path: Path) -> None:
+    assert said_by(beside(run, tmp_path, "nearest-centre"), run) == []
 
 
 @pytest.mark.slow

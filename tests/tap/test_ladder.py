@@ -49,14 +49,6 @@ def test_nearest_centre_is_never_wrong_on_an_agreed_step(alpha: float, seed: int
     assert scored.keys.right == scored.keys.of
 
 
-@pytest.mark.parametrize("name", ["paper", "quadruple-tank"])
-def test_nearest_centre_on_other_systems(name: str) -> None:
-    run = simulate(60, 1, name=name, alpha=8.0)
-    _, scored = play(run, "nearest-centre")
-    assert scored.keys.of > 0
-    assert scored.keys.right == scored.keys.of
-
-
 def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
     scores = [play(simulate(1000, seed), "set-membership")[1] for seed in range(4)]
     keys = confidence_sequence(sum(s.keys.right for s in scores), sum(s.keys.of for s in scores))

@@ -107,10 +107,13 @@ def test_the_watch_of_d_c_doubts_at_that_boundary_and_no_session_sooner(violatio
         assert not watch.doubt
     while watch.exceeded < boundary[watch.sessions - 1]:
         assert not watch.doubt
-        watch.counted(outside, 0)
-        watch.counted(inside, 0)
+        told = [watch.counted(outside, 0), watch.counted(inside, 0)]
         boundary += boundary_of(violation, watch.sessions + 1, DOUBT)[len(boundary) :].tolist()
     assert watch.doubt
+    assert watch.outside == watch.exceeded
+    assert told[0] is None
+    assert "of them; fit it anew" in (told[1] or "")
+    assert not any(watch.counted(outside, 0) for _ in range(9)), "it is told once"
 
 
 def test_true_faults_are_found() -> None:

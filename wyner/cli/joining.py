@@ -68,7 +68,7 @@ def joined(
     Failure
         When no loop runs after ``wait_s``.
     """
-    from wyner.deployment.running import listens, names_of, running_loops
+    from wyner.deployment.running import listens, run_names, running_loops
 
     if run_name is None and (buses.connect or buses.client or buses.loop != DEFAULT_LOOP):
         return None, buses
@@ -86,7 +86,7 @@ def joined(
             told = f"{which} on this machine yet; waiting {wait_s:g} s for it"
             print(f"wyner: {told}", file=sys.stderr)
         time.sleep(POLL_S)
-    names = names_of(loops)
+    names = run_names(loops)
     if run_name is not None and len(found) != 1:
         many = f"{len(found)} runs end in {run_name!r}" if found else f"no run {run_name!r}"
         raise UsageError(f"--run: {many} on this machine, running now: {names}")

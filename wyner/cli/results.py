@@ -3,20 +3,13 @@
 import argparse
 import json
 from textwrap import fill
-from typing import Any, Final, Protocol
+from typing import Final
 
 from protocol.text import printable
+from wyner.printout import Printout
 
 WIDTH: Final = 79
 """Columns of a line, which is broken between words."""
-
-
-class Printable(Protocol):
-    """What a function of the library found; ``str`` of it is the text for people."""
-
-    def to_json(self) -> dict[str, Any]:
-        """The same for programs."""
-        ...
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -24,21 +17,21 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
-def show(result: Printable, args: argparse.Namespace, *, indent: int = 2) -> None:
-    """Print a result; what a terminal would not show as text is spelled out.
+def show(found: Printout, args: argparse.Namespace, *, indent: int = 2) -> None:
+    """Print what was found; what a terminal would not show as text is spelled out.
 
     Parameters
     ----------
-    result : Printable
+    found : Printout
     args : argparse.Namespace
         With ``json``.
     indent : int
         Columns before what does not fit into a line, on those below.
     """
     if args.json:
-        print(json.dumps(result.to_json()))
+        print(json.dumps(found.figures))
         return
-    for line in map(printable, str(result).split("\n")):
+    for line in map(printable, str(found).split("\n")):
         print(folded(line, indent))
 
 

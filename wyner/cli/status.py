@@ -44,13 +44,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_dir(given: Path | None) -> Path:
     """The folder given, or that of the one run that goes on."""
-    from wyner.deployment.running import names_of, running_loops
+    from wyner.deployment.running import run_names, running_loops
 
     if given is not None:
         return given
     loops = running_loops()
     if len(loops) != 1:
-        raise UsageError(f"RUN_DIR: runs that go on: {names_of(loops)}; expected one, or a folder")
+        raise UsageError(f"RUN_DIR: runs that go on: {run_names(loops)}; expected one, or a folder")
     return Path(loops[0].run_dir)
 
 

@@ -117,7 +117,7 @@ def _read(note: Path) -> RunningLoop | None:
     return None
 
 
-def names_of(loops: Sequence[RunningLoop]) -> str:
+def run_names(loops: Sequence[RunningLoop]) -> str:
     """What ``--run`` takes for each: as many of its folder's last parts as no other shares."""
     told = []
     for loop in loops:

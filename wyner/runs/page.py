@@ -79,9 +79,12 @@ def page(e: Evidence) -> str:
     results = judge(e)  # first: it takes most room, and gives it back
     attack = attacked(e.run)
     e.run.forget("controller")  # what follows needs the room for matplotlib
+    scored = _scored(e)
     flags = [] if attack is None else _flags(attack, e)
     loop = {} if e.plant is None else _loop(e, e.plant, flags)
-    scored = _scored(e)
+    secrecy: dict[str, Any] = {"unscored": scored}
+    if not isinstance(scored, str):
+        secrecy = _secrecy(e, *scored)
     told = {
         "scenario": e.scenario,
         "size": e.rules.size,
@@ -94,8 +97,8 @@ def page(e: Evidence) -> str:
         "messages": _messages(e),
         "manifest": _manifest(e),
         **loop,
-        **scored,
-        "figures": {**loop.get("figures", {}), **scored.get("figures", {})},
+        **secrecy,
+        "figures": {**loop.get("figures", {}), **secrecy.get("figures", {})},
     }
     templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -178,17 +181,21 @@ def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str
     }
 
 
-def _scored(e: Evidence) -> dict[str, Any]:
-    """What the eavesdroppers made of the run, beside the truth; or why nobody knows."""
+def _scored(e: Evidence) -> tuple[Truth, list[TapOutput]] | str:
+    """The truth, and what the eavesdroppers of the run said; or why nobody knows."""
+    if e.plant is None:
+        return "no plant trace"
+    try:
+        return read_truth(e.run), read_said(e.run)
+    except ScoreError as error:
+        return str(error)
+
+
+def _secrecy(e: Evidence, truth: Truth, said: list[TapOutput]) -> dict[str, Any]:
+    """The report of a run's eavesdroppers, with its figures."""
     from wyner.drawing.secrecy import draw_report
     from wyner.drawing.style import svg_of
 
-    if e.plant is None:
-        return {"unscored": "no plant trace"}
-    try:
-        truth, said = read_truth(e.run), read_said(e.run)
-    except ScoreError as error:
-        return {"unscored": str(error)}
     scores = tuple(score(truth, one) for one in said)
     found = report([RunScore(e.run.name, truth, scores)])
     names = ", ".join(tap.name for tap in found.taps)

@@ -17,6 +17,7 @@ from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, KnowledgeError, named
 from tap_service.listening import Listeners
 from tap_service.status import report_of
+from wyner.printout import Printout
 from wyner.runs.score.plain import plain
 from wyner.runs.score.score import Guesses, TapOutput
 from wyner.runs.score.summary import in_short
@@ -70,16 +71,15 @@ def hear_again(path: Path, names: Sequence[str], scenario: Scenario | None = Non
         **transcript.unused._asdict(), dropped=reader.torn, malformed=reader.malformed
     )
     reports = [report_of(listeners.session, x, unused, last=True) for x in listeners.listeners]
-    return Decoded(
-        reader,
-        transcript,
-        max((status.steps for status, _ in reports), default=0),
-        tuple(guesses.said(record) for _, record in reports),
-    )
+    transitions = max((status.steps for status, _ in reports), default=0)
+    taps = tuple(guesses.said(record) for _, record in reports)
+    figures = _figures(reader, transcript, transitions, taps)
+    lines = _lines(transcript, transitions, taps)
+    return Decoded(figures, lines, reader, transcript, transitions, taps)
 
 
-@dataclass(frozen=True)
-class Decoded:
+@dataclass(frozen=True, eq=False)
+class Decoded(Printout):
     """What eavesdroppers made of a capture alone, of which the truth is not known.
 
     Parameters
@@ -112,46 +112,50 @@ class Decoded:
             found.append(f"{self.reader.parts_missing} parts of the capture are missing")
         return found
 
-    def to_json(self) -> dict[str, Any]:
-        """Per eavesdropper its message and how sure it is."""
-        taps = {}
-        for tap in self.taps:
-            b = tap.belief
-            taps[tap.name] = {
-                "message": b.message.decode("utf-8", errors="replace"),
-                "whole": [base64.b64encode(w).decode("ascii") for w in b.whole],
-                "confidence": b.confidence,
-                "candidates_left": b.candidates_left,
-                "solved_k": b.solved_k,
-                "failed": tap.failed,
-                "keys": plain(b.keys),
-            }
-        return {
-            "capture": str(self.reader.path),
-            "transitions": self.transitions,
-            "sessions": self.transcript.sessions,
-            "holes": self.transcript.holes,
-            **self.transcript.unused._asdict(),
-            "torn_lines": self.reader.torn,
-            "malformed": self.reader.malformed,
-            "parts_missing": self.reader.parts_missing,
-            "taps": taps,
-        }
 
-    def __str__(self) -> str:
-        """Two or three lines for each eavesdropper."""
-        lines = [f"{self.transitions} transitions, {self.transcript.holes} with something missing"]
-        if told := unused_in_words(self.transcript.unused._asdict()):
-            lines.append(f"not used of what the tap heard: {told}")
-        for tap in self.taps:
-            if tap.failed:
-                lines.append(f"{tap.name}: it failed: {tap.failed}")
-                continue
-            b = tap.belief
-            solved = f"first whole message at k {b.solved_k}" if b.solved_k >= 0 else "none whole"
-            lines.append(f"{tap.name}: {solved}, {b.candidates_left} candidates left")
-            message = b.message.decode("utf-8", errors="replace")
-            lines.append(f"  best message: {in_short(message)}")
-            if b.keys is not None:
-                lines.append(f"  {held_line(b.keys)}")
-        return "\n".join(lines)
+def _figures(
+    reader: CaptureReader, transcript: Transcript, transitions: int, taps: Sequence[TapOutput]
+) -> dict[str, Any]:
+    """Per eavesdropper its message and how sure it is."""
+    by_name = {}
+    for tap in taps:
+        b = tap.belief
+        by_name[tap.name] = {
+            "message": b.message.decode("utf-8", errors="replace"),
+            "whole": [base64.b64encode(w).decode("ascii") for w in b.whole],
+            "confidence": b.confidence,
+            "candidates_left": b.candidates_left,
+            "solved_k": b.solved_k,
+            "failed": tap.failed,
+            "keys": plain(b.keys),
+        }
+    return {
+        "capture": str(reader.path),
+        "transitions": transitions,
+        "sessions": transcript.sessions,
+        "holes": transcript.holes,
+        **transcript.unused._asdict(),
+        "torn_lines": reader.torn,
+        "malformed": reader.malformed,
+        "parts_missing": reader.parts_missing,
+        "taps": by_name,
+    }
+
+
+def _lines(transcript: Transcript, transitions: int, taps: Sequence[TapOutput]) -> list[str]:
+    """Two or three lines for each eavesdropper."""
+    lines = [f"{transitions} transitions, {transcript.holes} with something missing"]
+    if told := unused_in_words(transcript.unused._asdict()):
+        lines.append(f"not used of what the tap heard: {told}")
+    for tap in taps:
+        if tap.failed:
+            lines.append(f"{tap.name}: it failed: {tap.failed}")
+            continue
+        b = tap.belief
+        solved = f"first whole message at k {b.solved_k}" if b.solved_k >= 0 else "none whole"
+        lines.append(f"{tap.name}: {solved}, {b.candidates_left} candidates left")
+        message = b.message.decode("utf-8", errors="replace")
+        lines.append(f"  best message: {in_short(message)}")
+        if b.keys is not None:
+            lines.append(f"  {held_line(b.keys)}")
+    return lines
