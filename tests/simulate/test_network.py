@@ -44,14 +44,3 @@ def test_safety_always_and_delivery_once_all_is_well(
         assert history.crashes > 0
     if faults.loss and step_s is not None:
         assert history.missed > 0
-
-
-def test_a_seed_replays(sustained: Scenario, sustained_law: CandidateLaw) -> None:
-    def once() -> object:
-        sim = Watched(
-            sustained, sustained_law, seed=3, payloads=PAYLOADS, faults=NETWORKS["everything"]
-        )
-        history = sim.run(seconds=20)
-        return history.plant, history.controller, history.crashes, history.inbox
-
-    assert once() == once()

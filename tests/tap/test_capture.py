@@ -95,14 +95,16 @@ def test_all_parts_together_never_exceed_their_bound(tmp_path: Path, part_bytes:
     limits = Bounds(part_bytes=part_bytes, total_bytes=20_000, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {"loop": "x" * 300}, limits, LOG)
-    most = 0
+    most, least = 0, limits.total_bytes
     for k in range(1000):
         log.write(line_of(measurement(k)))
         log.flush()
         on_disk = sum(p.stat().st_size for p in parts_of(path))
         assert on_disk <= limits.total_bytes
         most = max(most, on_disk)
+        least = min(least, on_disk) if log.parts_dropped else least
     log.close()
+    assert least > limits.total_bytes - 3 * limits.of_a_part
     assert most > limits.total_bytes - limits.total_bytes // 2
     assert [m.k for m in read(path)[1]][-1] == 999
     assert len(parts_of(path)) > 1
@@ -149,26 +151,6 @@ def test_a_full_disk_pauses_the_recording_and_says_so(
     assert [m.k for m in read(tmp_path)[1]] == [0, 3]
     assert caplog.text.count("recording paused") == 1
     assert "recording again, 2 lines were dropped" in caplog.text
-
-
-def test_parts_that_end_in_a_pause_count_towards_the_bound(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = [10**9]
-    monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: free[0])
-    monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
-    limits = Bounds(part_bytes=10_000, total_bytes=20_000, free_bytes=1000)
-    path = tmp_path / CAPTURE
-    log = RotatingLog(path, {}, limits, LOG)
-    for _ in range(30):
-        free[0] = 10**9
-        for k in range(20):
-            log.write(line_of(measurement(k)))
-        free[0] = 0
-        log.write(line_of(measurement(20)))
-        assert sum(p.stat().st_size for p in parts_of(path)) <= limits.total_bytes
-    log.close()
-    assert log.written == 600
 
 
 def test_a_disk_that_others_fill_costs_no_part_of_the_recording(
@@ -281,12 +263,6 @@ def test_what_is_not_read_yet_is_told_in_steps_of_two_messages(tmp_path: Path) -
     assert reader.behind_steps == 0
 
 
-def test_a_reader_that_is_left_and_taken_up_again_loses_nothing(tmp_path: Path) -> None:
-    record(tmp_path / CAPTURE, 50).close()
-    reader = CaptureReader(tmp_path)
-    assert [next(of_the_loop(reader)).k for _ in range(50)] == list(range(50))
-
-
 def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -369,15 +345,6 @@ def test_one_who_listens_begins_after_the_parts_of_other_settings(tmp_path: Path
     assert reader.parts_missing == 0
 
 
-def test_a_later_part_can_be_read_by_itself(tmp_path: Path) -> None:
-    path = tmp_path / CAPTURE
-    record(path, 2).close()
-    record(path, 3).close()
-    reader, messages = read(part_path(path, 1))
-    assert [m.k for m in messages] == [0, 1, 2]
-    assert reader.parts_missing == 0
-
-
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
@@ -400,13 +367,3 @@ def test_what_is_no_capture_is_refused_in_one_line(
     with pytest.raises(CaptureError, match=expected) as error:
         CaptureReader(path)
     assert "\n" not in str(error.value)
-
-
-def test_part_names_sort_and_other_files_are_left_alone(tmp_path: Path) -> None:
-    base = tmp_path / "capture.jsonl"
-    for number in (0, 1, 2, 10):
-        part_path(base, number).write_bytes(b"")
-    (tmp_path / "capture-notes.jsonl").write_bytes(b"")
-    (tmp_path / "guesses.jsonl").write_bytes(b"")
-    names = [p.name for p in parts_of(base)]
-    assert names == [part_path(base, n).name for n in (0, 1, 2, 10)]
