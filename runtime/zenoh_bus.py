@@ -1,6 +1,7 @@
 """The bus that carries messages between processes, over Zenoh.
 
-This is the only file that imports zenoh. Those who open a bus import it where they do.
+This is the only file that imports zenoh, and it does so when a bus is opened: importing it stays
+cheap, and a process that has opened none can fork.
 """
 
 import json
@@ -14,14 +15,15 @@ from contextlib import suppress
 from functools import partial
 from math import inf
 from threading import get_ident
-from typing import Any, Final
-
-import zenoh
+from typing import TYPE_CHECKING, Any, Final
 
 from runtime.addresses import Addresses, TlsFiles, appearances, check_endpoint, is_group
 from runtime.bus import Bus, ChannelClosed, Deliver, TransportError
 from runtime.hanging import within
 from runtime.zenoh_settings import ONE_THREAD, settings_of
+
+if TYPE_CHECKING:
+    import zenoh
 
 LARGEST_MESSAGE: Final = 2**18
 """Bytes of a message at most: three times the longest message to deliver, in base64."""
@@ -83,6 +85,8 @@ class ZenohPublisher:
     """
 
     def __init__(self, bus: "ZenohBus", key: str, *, many: bool) -> None:
+        import zenoh
+
         # Every message names its key a second time: see `ZenohBus.subscribe`.
         self._settings: dict[str, Any] = {
             "encoding": zenoh.Encoding(f"{_JSON};{key}"),
@@ -96,9 +100,12 @@ class ZenohPublisher:
         self._many = many
         self._session: zenoh.Session | None = None
         self._put: Callable[[bytes], object] = self._lost
+        self._refused = zenoh.ZError
 
-    def attach(self, session: zenoh.Session) -> None:
+    def attach(self, session: "zenoh.Session") -> None:
         """Publish on this session from now on."""
+        import zenoh
+
         self._session = session
         if self._many:
             self._put = partial(session.put, zenoh.KeyExpr(self._key), **self._settings)
@@ -133,7 +140,7 @@ class ZenohPublisher:
         """
         try:
             self._put(payload)
-        except zenoh.ZError as error:
+        except self._refused as error:
             if self._bus.closed:
                 raise TransportError(f"key {self._key}: {_reason(error)}") from None
 
@@ -142,6 +149,8 @@ class ZenohChannel:
     """A `BusChannel` over Zenoh: the waiting thread is woken by the transport, and nobody else."""
 
     def __init__(self, bus: "ZenohBus", key_expr: str, capacity: int) -> None:
+        import zenoh
+
         self._bus = bus
         self._key = key_expr
         self._capacity = capacity
@@ -150,9 +159,12 @@ class ZenohChannel:
         self._handler: Any = None
         self._closed = False
         self._attached = threading.Event()
+        self._ended = zenoh.ZError
 
-    def attach(self, session: zenoh.Session) -> None:
+    def attach(self, session: "zenoh.Session") -> None:
         """Take messages from this session from now on."""
+        import zenoh
+
         self._subscriber = session.declare_subscriber(
             self._bus.spelling(self._key),
             zenoh.handlers.RingChannel(self._capacity),
@@ -185,7 +197,7 @@ class ZenohChannel:
                 elif _named_alike(sample, key := str(sample.key_expr)):
                     taken.append((key, _bounded(sample)))
                 sample = self._handler.try_recv()
-        except zenoh.ZError:
+        except self._ended:
             if not taken:
                 self._await_session(wait=wait)
         return taken
@@ -212,13 +224,15 @@ class ZenohChannel:
 class _Subscription:
     """Messages that a callback takes, from one session after the other."""
 
-    def __init__(self, bus: "ZenohBus", key_expr: str, receive: Callable[[zenoh.Sample], None]):
+    def __init__(self, bus: "ZenohBus", key_expr: str, receive: "Callable[[zenoh.Sample], None]"):
         self._bus = bus
         self._key_expr = key_expr
         self._receive = receive
 
-    def attach(self, session: zenoh.Session) -> None:
+    def attach(self, session: "zenoh.Session") -> None:
         """Take messages from this session from now on."""
+        import zenoh
+
         session.declare_subscriber(
             self._bus.spelling(self._key_expr),
             zenoh.handlers.Callback(self._receive, indirect=False),
@@ -240,14 +254,14 @@ def _keep_thread_state() -> None:
     ctypes.pythonapi.PyGILState_Ensure()  # never released: the state has one user for good
 
 
-def _bounded(sample: zenoh.Sample) -> bytes:
+def _bounded(sample: "zenoh.Sample") -> bytes:
     """The payload; of one that is too long its size and its first bytes, which is malformed."""
     size = len(sample.payload)
     payload = sample.payload.to_bytes()
     return payload if size <= LARGEST_MESSAGE else b"%d bytes: " % size + payload[:SHOWN]
 
 
-def _named_alike(sample: zenoh.Sample, key: str) -> bool:
+def _named_alike(sample: "zenoh.Sample", key: str) -> bool:
     """Whether the encoding names the key that the sample came under, or none."""
     encoding, _, named = str(sample.encoding).partition(";")
     return encoding != _JSON or named in ("", key)
@@ -303,6 +317,9 @@ class ZenohBus(Bus):
                 check_endpoint(endpoint, option, tls=tls is not None)
         for endpoint in filter(is_group, connect):
             raise TransportError(f"{endpoint}: a multicast group: expected it to be listened on")
+        import zenoh
+
+        self._refused = zenoh.ZError
         self._client = client
         self._groups = sum(map(is_group, listen))
         self._endpoints = (*listen, *connect)
@@ -321,7 +338,7 @@ class ZenohBus(Bus):
         """The links that are open, by their two locators; a multicast group's are to each other."""
         try:
             return frozenset((x.src, x.dst) for x in self._session.info.links())
-        except zenoh.ZError:  # closed
+        except self._refused:  # closed
             return frozenset()
 
     def spelling(self, key_expr: str) -> str:
@@ -349,7 +366,7 @@ class ZenohBus(Bus):
         """
         try:
             links = self._session.info.links()
-        except zenoh.ZError:  # closed
+        except self._refused:  # closed
             return self._appearances
         if links != self._links:
             self._links = links
@@ -363,7 +380,7 @@ class ZenohBus(Bus):
             with self._changing:
                 part.attach(self._session)
                 self._parts.append(part)
-        except zenoh.ZError as error:
+        except self._refused as error:
             raise TransportError(f"key {key!r}: {_reason(error)}") from None
 
     def end(self, channel: ZenohChannel) -> None:
@@ -380,7 +397,7 @@ class ZenohBus(Bus):
     def _undeclare(self, subscribers: "Sequence[Any]") -> None:
         for subscriber in subscribers:
             if subscriber is not None:
-                with suppress(zenoh.ZError):
+                with suppress(self._refused):
                     subscriber.undeclare()
 
     def publisher(self, key: str, *, many: bool = False) -> ZenohPublisher:
@@ -417,7 +434,7 @@ class ZenohBus(Bus):
         nap = _Nap()
         threads: set[int] = set()
 
-        def receive(sample: zenoh.Sample) -> None:
+        def receive(sample: "zenoh.Sample") -> None:
             if (thread := get_ident()) not in threads:
                 threads.add(thread)
                 _keep_thread_state()
@@ -498,6 +515,8 @@ class ZenohBus(Bus):
 
 
 def _close_session(session: Any) -> None:  # its stub leaves close() untyped
+    import zenoh
+
     with suppress(zenoh.ZError):  # after ten seconds it says that it takes too long
         session.close()
 
@@ -548,7 +567,9 @@ def open_router(
 
 def _open(
     settings: Mapping[str, Any], endpoints: Sequence[str], *, retry_until: float
-) -> zenoh.Session:
+) -> "zenoh.Session":
+    import zenoh
+
     if settings["mode"] != "router":  # which has the messages of many to relay
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
     config = zenoh.Config()

@@ -29,6 +29,8 @@ class JournalState:
     ahead : int
         The step of the transition that it has saved and will count next; -1 none. Its trace may
         not have it yet.
+    s : int
+        The automaton's state after those that are counted.
     messages : int
         How many were queued at the controller, or received at the plant, since this journal began.
     waiting : tuple of (str, bytes)
@@ -46,6 +48,7 @@ class JournalState:
     session: str | None
     transitions: int
     ahead: int
+    s: int
     messages: int
     waiting: tuple[tuple[str, bytes], ...] = ()
     last: bytes | None = None
@@ -74,6 +77,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 session=record.session.id,
                 transitions=record.link.transitions,
                 ahead=offer.k if offer is not None and counts else -1,
+                s=rules.scheme.restore(record.link.state)[0],
                 messages=journal.queued,
                 newest=journal.identifier(journal.queued - 1) if journal.queued else "",
                 waiting=tuple((i, text) for n, i, text in journal.waiting() if n >= delivered),
@@ -95,6 +99,7 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
             session=record.session.id,
             transitions=record.link.transitions,
             ahead=record.link.k if isinstance(loaded.step, Read) else -1,
+            s=rules.scheme.restore(record.link.state)[0],
             messages=record.frame.messages,
             last=last,
             k=record.link.k,

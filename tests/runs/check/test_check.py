@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, GUESSES, PLANT_TRACE, SCENARIO
 from runtime.shipped import SCENARIOS
 from tests.support.checked_runs import failed, results_of
 from tests.support.ended_run import ended_run
@@ -121,6 +121,15 @@ def test_a_state_that_shows_on_the_bus_fails(copied: Path) -> None:
 
     edit(copied / CAPTURE, change)
     assert failed(copied) == {"bus", "whole"}
+
+
+def test_a_changed_header_of_what_eve_heard_fails(copied: Path) -> None:
+    """No end mark holds it: her guesses begin with the same header."""
+    header = read_lines(unmarked(copied) / CAPTURE)[0]
+    write_lines(copied / GUESSES, [header])
+    assert failed(copied) == set()
+    write_lines(copied / GUESSES, [header | {"view": {"loss": 0.125}}])
+    assert failed(copied) == {"whole"}
 
 
 def test_a_cipher_that_changed_before_it_was_applied_fails(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from tests.runs.check.mutants import Mutant, failed_by, mutants_of
 from tests.support.checked_runs import failed
 from tests.support.recorded_pair import read_lines, write_lines
@@ -66,6 +66,21 @@ def test_an_end_mark_protects_the_rest(ended: Path, tmp_path: Path) -> None:
     assert len(measured) >= 18
     for m in (*captured[::STRIDE], *measured[::STRIDE]):
         assert "whole" in failed_by(m, folder), m.name
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("alpha = 8.0", "alpha = 7.9"),
+        ("period_s = 0.1", "period_s = 0.2"),
+        ('kind = "uniform"', 'kind = "corners"'),
+    ],
+)
+def test_a_scenario_changed_after_the_run_fails(folder: Path, old: str, new: str) -> None:
+    text = (folder / SCENARIO).read_text()
+    assert old in text
+    (folder / SCENARIO).write_text(text.replace(old, new))
+    assert "whole" in failed(folder)
 
 
 def test_files_cut_together_fail(folder: Path) -> None:

@@ -91,7 +91,7 @@ def _model(e: Evidence, line: CapturedMessage) -> Measurement | Offer | str:
     if rules.digits:
         allowed |= OF_STREAM[topic]
     told = {name for name, value in line.message.items() if value is not None}
-    if unlike := sorted(told ^ allowed):
+    if unlike := sorted((line.message.keys() ^ allowed) | (allowed - told)):
         return f"{topic} with a field too many, or one too few: {', '.join(unlike)}"
     try:
         message: Measurement | Offer = _MODELS[topic].model_validate_json(line.raw, strict=True)

@@ -2,11 +2,12 @@
 
 from collections import deque
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from runtime.files import read_regular
-from runtime.recording import decode, parts_of
-from runtime.run_folder import PLANT_JOURNAL, TAP_STATUS
+from runtime.recording import decode, number_of, parts_of, raw_lines
+from runtime.run_folder import CAPTURE, GUESSES, PLANT_JOURNAL, TAP_STATUS
 from wyner.runs.check.evidence import Evidence, Finding, Findings, before, columns
 from wyner.runs.journals import JournalState
 from wyner.runs.lines import TRANSITION
@@ -64,6 +65,25 @@ def _recorded(e: Evidence) -> Iterator[str]:
         parts.append(marks)
     for marks in parts:
         yield from (f"{where}: {text}" for where, text in marks.problems)
+    yield from _told_alike(e)
+
+
+def _told_alike(e: Evidence) -> Iterator[str]:
+    """The tap began what Eve heard and her guesses with one header: told what, how well."""
+    captured, guessed = (_header(e.folder / name) for name in (CAPTURE, GUESSES))
+    fields = captured.keys() | guessed.keys() if captured and guessed else set()
+    for field in sorted(fields - {"started_ns"}):
+        if captured.get(field, "none") != guessed.get(field, "none"):
+            yield f"{CAPTURE} and {GUESSES}: their headers differ in {field}"
+
+
+def _header(recording: Path) -> dict[str, Any]:
+    """The header of a recording's first part; empty where it is gone."""
+    first = next(iter(parts_of(recording)), None)
+    if first is None or number_of(first):
+        return {}
+    _, raw, _ = next(raw_lines(first), (0, b"", False))
+    return decode(raw) or {}
 
 
 def _kept(e: Evidence) -> Iterator[str]:
@@ -99,6 +119,8 @@ def _behind(trace: Trace, journal: JournalState, session: str) -> str:
         return "it goes on after its journal's session" if journal.transitions else ""
     found, kept = (last.k, last.x), (journal.k, journal.x)
     if not saved:
+        if last.s != journal.s:
+            return f"it ends in state {last.s}, its journal in state {journal.s}"
         found, missed = (last.k + 1, last.x_next), trace.last_missed
         if missed is not None and missed.k > last.k and missed.session == session:
             found = missed.k + 1, missed.x_next
