@@ -165,7 +165,7 @@ def words_wrong(scenario: Scenario, estimates: Any, coins: Any) -> float:
     return float((off > code.t).mean())
 
 
-class Overheard(Simulation):
+class TappedSimulation(Simulation):
     """The two ends, with all that they say on the field bus in order."""
 
     def __init__(self, scenario: Scenario, law: CandidateLaw, *, seed: int, run: int) -> None:
@@ -185,7 +185,7 @@ def by_cores(case: Case) -> Measured:
     law = make_law(scenario, cached_design(scenario))
     bits, paths, held, blocks, wrong = [], [], 0, 0, 0
     for run in range(RUNS):
-        ends = Overheard(scenario, law, seed=case.seed, run=run)
+        ends = TappedSimulation(scenario, law, seed=case.seed, run=run)
         made = [t for t in ends.run(steps=STEPS).plant.values() if t.k < STEPS]
         bits.append(sum(t.key >= 0 for t in made) * log2(scenario.secrecy.candidates))
         paths.append(([made[0].x, *(t.x_next for t in made)], [t.u for t in made]))

@@ -33,7 +33,7 @@ again."""
 SCHEMES: Final = ("reconciled", "reconciled-31")
 
 
-class Model(NamedTuple):
+class NoisyModel(NamedTuple):
     """A, B and the deviations of d, as somebody takes them."""
 
     A: Array
@@ -47,14 +47,16 @@ class Model(NamedTuple):
         return out
 
 
-Hearing = Callable[[Model, Array, Array, Array, np.random.Generator], Indices]
+Hearing = Callable[[NoisyModel, Array, Array, Array, np.random.Generator], Indices]
 """Takes the true model, x, the candidates and x_next of a run; her estimates."""
 
 
 def wrong_covariance(factor: float) -> Hearing:
     """She takes the first state's deviation for so many times smaller."""
 
-    def hears(true: Model, x: Array, u: Array, after: Array, _: np.random.Generator) -> Indices:
+    def hears(
+        true: NoisyModel, x: Array, u: Array, after: Array, _: np.random.Generator
+    ) -> Indices:
         return true._replace(deviations=true.deviations / [factor, 1.0]).estimates(x, u, after)
 
     return hears
@@ -63,14 +65,16 @@ def wrong_covariance(factor: float) -> Hearing:
 def wrong_model(share: float) -> Hearing:
     """Each entry of her A and B is wrong by that share, up or down."""
 
-    def hears(true: Model, x: Array, u: Array, after: Array, draw: np.random.Generator) -> Indices:
+    def hears(
+        true: NoisyModel, x: Array, u: Array, after: Array, draw: np.random.Generator
+    ) -> Indices:
         A, B = (M * (1 + share * draw.choice([-1, 1], M.shape)) for M in (true.A, true.B))
         return true._replace(A=A, B=B).estimates(x, u, after)
 
     return hears
 
 
-def learns(_: Model, x: Array, u: Array, after: Array, draw: np.random.Generator) -> Indices:
+def learns(_: NoisyModel, x: Array, u: Array, after: Array, draw: np.random.Generator) -> Indices:
     """She is told nothing: guesses, fits, and estimates with what she has, from then on.
 
     A law that is linear leaves her two models, with B and with -B. She names as she did before.
@@ -81,7 +85,7 @@ def learns(_: Model, x: Array, u: Array, after: Array, draw: np.random.Generator
         fit = identify(x[:heard], u[:heard], after[:heard], refine=False)
         off = after[:heard] - x[:heard] @ fit.A.T - fit.offset
         off -= np.einsum("kj,ij->ki", u[np.arange(heard), fit.choice], fit.B)
-        hers = Model(fit.A, fit.B, off.std(axis=0))
+        hers = NoisyModel(fit.A, fit.B, off.std(axis=0))
         until = min(len(x), max(heard + 1, int(heard * GROWTH)))
         guessed = hers.estimates(x[:until], u[:until], after[:until])
         if heard > FIRST and (guessed[FIRST:heard] != out[FIRST:heard]).mean() > 0.5:
@@ -137,7 +141,9 @@ def stochastic_rows(name: str) -> Iterator[tuple[Any, ...]]:
     runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, record=True)
     assert runs.x is not None
     assert runs.candidates is not None
-    true = Model(np.array(scenario.A), np.array(scenario.B), np.array(scenario.defender.deviations))
+    true = NoisyModel(
+        np.array(scenario.A), np.array(scenario.B), np.array(scenario.defender.deviations)
+    )
     wrong = runs.symbol != runs.coin
     plant = [words(wrong[:, r], n) for r in range(RUNS)]
     before = share_over_runs((int(w.sum()), len(wrong)) for w in wrong.T)
@@ -157,7 +163,7 @@ def stochastic_rows(name: str) -> Iterator[tuple[Any, ...]]:
         )  # fmt: skip
 
 
-def her_errors(runs: Runs, r: int, true: Model, hears: Hearing) -> Flags:
+def her_errors(runs: Runs, r: int, true: NoisyModel, hears: Hearing) -> Flags:
     """Where her estimates differ from the controller's, up to one relabelling for the run."""
     assert runs.x is not None
     assert runs.candidates is not None

@@ -52,7 +52,9 @@ def test_who_learns_has_the_controllers_word_and_who_is_wrong_has_not() -> None:
     assert runs.x is not None
     assert runs.candidates is not None
     scenario = runs.scenario
-    true = stochastic.Model(*map(np.array, (scenario.A, scenario.B, scenario.defender.deviations)))
+    true = stochastic.NoisyModel(
+        *map(np.array, (scenario.A, scenario.B, scenario.defender.deviations))
+    )
     late = {
         name: stochastic.her_errors(runs, 0, true, hears)[400:].mean()
         for name, hears in stochastic.EVES.items()
