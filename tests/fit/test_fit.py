@@ -15,7 +15,7 @@ from wyner.cli.main import main
 from wyner.fit.conformal import violation_bound
 from wyner.fit.fitting import fit
 from wyner.fit.identification import FitError
-from wyner.fit.plan import FitPlan
+from wyner.fit.plan import Plan
 from wyner.fit.toml import as_toml
 
 CART: dict[str, Any] = {
@@ -39,7 +39,7 @@ DYNAMICS = """
 def dynamics(t, x, u):
     return x[1], 2.0 * u[0] - 0.8 * x[1] * abs(x[1]) - 0.2 * x[1]
 """
-PLAN = FitPlan(sessions=40, steps=60, seed=2)
+PLAN = Plan(sessions=40, steps=60, seed=2)
 
 Fitted = tuple[dict[str, Any], Scenario]
 
@@ -114,7 +114,7 @@ def test_what_cannot_be_fitted_says_why(folder: Path) -> None:
 
     with pytest.raises(ScenarioError, match=r"plant.operating_point.state and control.inputs: exp"):
         fit(without("plant", "initial_state"), folder / "cart.toml", PLAN, 0.05)
-    still = FitPlan(sessions=5, excite_steps=2)
+    still = Plan(sessions=5, excite_steps=2)
     with pytest.raises(FitError, match="got 2 transitions, expected more than 3"):
         fit(CART, folder / "cart.toml", still, 0.05)
 

@@ -13,7 +13,7 @@ from tests.fit.test_fit import CART, DYNAMICS
 from wyner.cli.main import main
 from wyner.fit.fitting import fit
 from wyner.fit.identification import identify
-from wyner.fit.plan import FitPlan
+from wyner.fit.plan import Plan
 from wyner.fit.sessions import residuals_under
 from wyner.fit.toml import as_toml
 
@@ -26,7 +26,7 @@ NOISY: dict[str, Any] = {
     "defender": {"noise": {"half_widths": list(NOISE)}},
     "secrecy": {"alpha": 12.0, "candidates": 2},
 }
-PLAN = FitPlan(sessions=40, excite_steps=200, steps=60, seed=2)
+PLAN = Plan(sessions=40, excite_steps=200, steps=60, seed=2)
 
 
 @pytest.fixture(scope="module")

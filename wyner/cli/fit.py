@@ -9,7 +9,7 @@ from runtime import options
 from runtime.errors import DONE, Failure, UsageError, writing
 from runtime.files import write_atomically
 from wyner.cli.results import add_json, show
-from wyner.fit.plan import FitPlan
+from wyner.fit.plan import Plan
 
 if TYPE_CHECKING:
     from wyner.fit.written import Written
@@ -21,7 +21,7 @@ RECORDED_VIOLATION: Final = 0.01
 VIOLATION: Final = 0.05
 """Share of sessions that may, where a plant is run."""
 
-PLAN: Final = [one.name for one in fields(FitPlan)]
+PLAN: Final = [one.name for one in fields(Plan)]
 """Options that say how a plant is run."""
 
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--inputs", metavar="NAMES", help="columns of the inputs: u or u1,u2")
     parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
     add_json(parser)
-    options.add_arguments(parser, FitPlan)
+    options.add_arguments(parser, Plan)
     parser.set_defaults(**dict.fromkeys(PLAN))  # a recording is refused with any of them
     parser.add_argument(
         "--violation",
@@ -116,7 +116,7 @@ def _fit_plant(args: argparse.Namespace) -> "Written":
     from wyner.fit.written import from_plant
     from wyner.simulate.engine import SimulationError
 
-    plan = options.picked(FitPlan, vars(args))
+    plan = options.picked(Plan, vars(args))
     violation = VIOLATION if args.violation is None else args.violation
     _check_share("amplitude", plan.amplitude)
     _check_share("violation", violation)

@@ -22,7 +22,7 @@ from protocol.scenario.noise import widened
 from runtime.progress import duration
 from wyner.fit.conformal import CONFIDENCE, conformal_scale, template, violation_bound
 from wyner.fit.identification import ROUNDED, FitError, identify
-from wyner.fit.plan import FitPlan
+from wyner.fit.plan import Plan
 from wyner.fit.sessions import Own, excite, residuals, residuals_under
 
 Tables = dict[str, Any]
@@ -46,7 +46,7 @@ SMALLEST: Final = 1e-9
 
 
 def fit(
-    tables: Mapping[str, Any], path: Path, plan: FitPlan, violation: float, own: Own | None = None
+    tables: Mapping[str, Any], path: Path, plan: Plan, violation: float, own: Own | None = None
 ) -> tuple[Tables, Scenario]:
     """Fit a scenario to its plant; standard error has a line on each stage.
 
@@ -58,7 +58,7 @@ def fit(
     path : Path
         Their file: it stands first in each line of an error, and the files that the scenario names
         are looked for in its folder.
-    plan : FitPlan
+    plan : Plan
     violation : float
         The share of sessions that may leave D_c, for its scale.
     own : Stepped or PlantAdapter, optional
@@ -133,7 +133,7 @@ def _tell(line: str) -> None:
     print(f"wyner: {line}", file=sys.stderr)
 
 
-def _excited(blank: Scenario, folder: Path, plan: FitPlan, own: Own | None) -> tuple[Array, Array]:
+def _excited(blank: Scenario, folder: Path, plan: Plan, own: Own | None) -> tuple[Array, Array]:
     """Readings and inputs of excited sessions; they tell how long the others will take."""
     began = time.monotonic()
     x, u = excite(blank, folder, plan, own)
@@ -175,7 +175,7 @@ def _check_disturbed(largest: Array, x: Array) -> None:
     )
 
 
-def _next(sessions: range, plan: FitPlan) -> range:
+def _next(sessions: range, plan: Plan) -> range:
     """As many sessions as scale D_c, after those."""
     return range(sessions.stop, sessions.stop + plan.sessions)
 

@@ -6,7 +6,7 @@ from runtime.options import option
 
 
 @dataclass(frozen=True, slots=True)
-class FitPlan:
+class Plan:
     """How many sessions a fit takes, and what they are like."""
 
     sessions: int = option(

@@ -15,7 +15,7 @@ from protocol.arrays import Array
 from protocol.link.fallback import clip
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from wyner.fit.plan import FitPlan
+from wyner.fit.plan import Plan
 from wyner.simulate.engine import Law, simulate_runs
 
 Own = Stepped | PlantAdapter
@@ -27,7 +27,7 @@ EXCITED: Final = 1_000_000
 class _Excitation:
     """A law whose only candidate is random, beside K x where ``control.gain`` is stated."""
 
-    def __init__(self, scenario: Scenario, plan: FitPlan) -> None:
+    def __init__(self, scenario: Scenario, plan: Plan) -> None:
         self._random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(0,)))
         self._widths = _reach(scenario) * plan.amplitude
         gain = scenario.control.gain
@@ -51,7 +51,7 @@ def _reach(scenario: Scenario) -> Array:
 
 
 def excite(
-    scenario: Scenario, folder: Path, plan: FitPlan, own: Own | None = None
+    scenario: Scenario, folder: Path, plan: Plan, own: Own | None = None
 ) -> tuple[Array, Array]:
     """Apply random inputs, beside u = K x where ``control.gain`` is stated.
 
@@ -61,7 +61,7 @@ def excite(
         Its U, its stated gain and its plant; its model and its network do not matter.
     folder : Path
         Where the files that it names are looked for.
-    plan : FitPlan
+    plan : Plan
         An unstable plant wants many short sessions.
     own : Stepped or PlantAdapter, optional
         A plant in place of the one that the scenario names.
@@ -78,7 +78,7 @@ def excite(
 
 
 def residuals_under(
-    scenario: Scenario, folder: Path, plan: FitPlan, runs: range, own: Own | None = None
+    scenario: Scenario, folder: Path, plan: Plan, runs: range, own: Own | None = None
 ) -> Array:
     """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n).
 
