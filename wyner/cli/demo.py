@@ -243,16 +243,16 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def _shown(
-    act: Act, json: bool, folder: Path, lines: list[str], slower: int
+    act: Act, as_json: bool, folder: Path, lines: list[str], slower: int
 ) -> tuple[Outcome, bool | None, int]:
     """A run that showed something, or the slowest of those that did not; and its pace's divisor."""
     begins = "Controller, plant and tap start."
     while True:
-        if not json:
+        if not as_json:
             print(f"{act.title}: {act.about}. {begins}", file=sys.stderr, flush=True)
         with _scenario(act) as scenario:
             outcome = run_session(
-                _options(act, scenario, folder, slower, json=json),
+                _options(act, scenario, folder, slower, as_json=as_json),
                 epilogue=lambda summary: act.told(lines, act.verdict(summary)[0]),
                 stays=act is ACTS[-1],
                 title=act.title,
@@ -268,7 +268,7 @@ def _shown(
         begins = f"{_missed(outcome.figures)}: once more, at half the pace."
 
 
-def _options(act: Act, scenario: str, folder: Path, slower: int, *, json: bool) -> RunOptions:
+def _options(act: Act, scenario: str, folder: Path, slower: int, *, as_json: bool) -> RunOptions:
     """What a run is asked to be."""
     return RunOptions(
         scenario=scenario,
@@ -278,7 +278,7 @@ def _options(act: Act, scenario: str, folder: Path, slower: int, *, json: bool) 
         steps=ONSET + SPOOFED if act.attacked else MOST_STEPS,
         until_delivered=not act.attacked,
         attack=f"ghost@{ONSET}" if act.attacked else None,
-        json=json,
+        json=as_json,
     )
 
 
