@@ -27,9 +27,6 @@ AT_ONCE: Final = (
 """Flags of an open that waits for no pipe, and whose file no child inherits. Windows has neither,
 and has a flag that leaves the bytes as they are."""
 
-_PARTIAL: Final = ".partial-"
-"""What the names of files that are being written begin with."""
-
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 """Flag of an open that follows no link; Windows lacks it."""
 
@@ -176,7 +173,7 @@ def replacing(path: Path, mode: int = PRIVATE_FILE) -> Iterator[Path]:
         make_folder(path.parent)
     else:
         path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=_PARTIAL, dir=path.parent)
+    handle, name = tempfile.mkstemp(prefix=".partial-", dir=path.parent)
     os.close(handle)
     partial = Path(name)
     try:
@@ -203,18 +200,6 @@ def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
             partial.write_bytes(data)
         except OSError as error:  # what is done to a file that is open does not name it
             raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def remove_partials(folder: Path) -> None:
-    """Remove the files that a kill left half written, from a folder that no one else writes into.
-
-    Raises
-    ------
-    OSError
-        With the file's name, when one cannot be removed.
-    """
-    for partial in folder.glob(f"{_PARTIAL}*"):
-        partial.unlink(missing_ok=True)
 
 
 def cache_folder(kind: str) -> Path:

@@ -19,7 +19,8 @@ from typing import Any, Final, NamedTuple, TypeVar
 from pydantic_core import from_json, to_json
 
 from protocol.messages import PlantStatus, Status
-from runtime.files import read_regular, remove_partials, write_atomically
+from runtime.files import read_regular
+from runtime.status_file import StatusFile
 
 WINDOW_S: Final = 10.0
 """Seconds over which missed steps are counted."""
@@ -128,16 +129,15 @@ class HealthFiles:
     Parameters
     ----------
     path : Path
-        Of the status. What an earlier process left half written beside it is removed.
+        Of the status.
     log : logging.Logger
     """
 
     def __init__(self, path: Path, log: logging.Logger) -> None:
-        self._path = path
+        self._file = StatusFile(path)
         self._pulse = Liveness()
         self._unwritten = ""
         self.log = log
-        remove_partials(path.parent)
 
     def write(self, status: Status, now_s: float) -> None:
         """Replace the file, as of a monotonic time; a fault of the disk is logged, once.
@@ -154,7 +154,7 @@ class HealthFiles:
             health = f"bad: this file could not be written until now: {self._unwritten}"
         body = b'{"health":%b,%b' % (to_json(health), status.on_file().removeprefix(b"{"))
         try:
-            write_atomically(self._path, body)
+            self._file.write(body)
         except OSError as error:
             why = f"{error.filename or ''}: {error.strerror}"
             if why != self._unwritten:

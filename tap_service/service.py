@@ -18,10 +18,10 @@ from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
-from runtime.files import remove_partials, write_atomically
 from runtime.inbox import Inbox
 from runtime.logs import Burst, RateLimitedLog, logger
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
+from runtime.status_file import StatusFile
 from tap_service.beside import Beside, assignments_of
 from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
@@ -80,14 +80,13 @@ class TapService:
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
-        self._beliefs_path = config.run_dir / BELIEFS
-        self._status_path = config.run_dir / TAP_STATUS
+        self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
+        self._status_file = StatusFile(config.run_dir / TAP_STATUS)
         self._restarts = _starts_before(config.run_dir)
 
     def begin(self) -> None:
         """Begin the recordings, and the processes beside; until then nothing is written."""
         config, header = self._config, self._config.header()
-        remove_partials(self._status_path.parent)
         self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         guesses = config.run_dir / GUESSES
         self._guesses = RotatingLog(guesses, header, eighth(config.limits), self.log)
@@ -290,8 +289,8 @@ class TapService:
             "starts": self._restarts + 1,
         }
         try:
-            write_atomically(self._beliefs_path, beliefs_json(self._records))
-            write_atomically(self._status_path, to_json(captured))
+            self._beliefs_file.write(beliefs_json(self._records))
+            self._status_file.write(to_json(captured))
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

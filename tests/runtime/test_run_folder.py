@@ -14,6 +14,7 @@ from runtime.files import (
 )
 from runtime.journal import PlantJournal
 from runtime.recording import LineWriter, TraceWriter, read_lines
+from runtime.status_file import StatusFile
 
 
 def mode(path: Path) -> int:
@@ -49,6 +50,7 @@ def test_what_is_no_regular_file_is_left_as_it_is(tmp_path: Path, kind: str) -> 
         target.write_bytes(b"mine")
     for write in (
         lambda: write_atomically(path, b"x"),
+        lambda: StatusFile(path).write(b"x"),
         lambda: open_private(path, os.O_WRONLY | os.O_CREAT),
     ):
         with pytest.raises(OSError, match="not a regular file") as error:
