@@ -14,12 +14,11 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
-from pydantic_core import from_json, to_json
+from pydantic_core import to_json
 
 from protocol.messages import PlantStatus, Status
-from runtime.files import read_regular
 from runtime.status_file import StatusFile
 
 WINDOW_S: Final = 10.0
@@ -41,8 +40,6 @@ SILENT: Final = (
     "the same --loop, and does one end connect where the other listens?",
 )
 """Why nothing moves: once the loop has moved, with a partner, and without one."""
-
-S = TypeVar("S", bound=Status)
 
 
 class LivenessReport(NamedTuple):
@@ -164,19 +161,6 @@ class HealthFiles:
             if self._unwritten:
                 self.log.info("the status is written again")
             self._unwritten = ""
-
-
-def read_status(path: Path, kind: type[S]) -> S:
-    """The status in a run's folder, without its field ``health``.
-
-    Raises
-    ------
-    OSError, ValueError
-        When there is none, or it is not one.
-    """
-    fields: dict[str, Any] = from_json(read_regular(path))
-    fields.pop("health", None)
-    return kind.model_validate(fields)
 
 
 class HealthWriter:

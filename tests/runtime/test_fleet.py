@@ -20,7 +20,6 @@ from protocol.topics import key_of
 from runtime import end_service, host
 from runtime.errors import DONE, UsageError
 from runtime.fleet import read_fleet
-from runtime.health import read_status
 from runtime.run_folder import (
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
@@ -32,6 +31,7 @@ from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.recorded_pair import law_of
 from tests.support.scenarios import text_of
+from tests.support.statuses import read_status
 from tests.support.traces import events_of
 from wyner.cli.main import main
 

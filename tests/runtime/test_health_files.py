@@ -11,10 +11,11 @@ import pytest
 
 from protocol.messages import ControllerStatus, Status
 from protocol.messages.management import StepStatus
-from runtime.health import HealthFiles, HealthWriter, read_status
+from runtime.health import HealthFiles, HealthWriter
 from runtime.run_folder import CONTROLLER_STATUS
 from tests.support.patience import PATIENCE_S
 from tests.support.recorded_pair import RecordedPair
+from tests.support.statuses import read_status
 
 LOG = logging.getLogger("health files")
 

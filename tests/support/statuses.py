@@ -1,5 +1,7 @@
-"""The status of an end, as it would tell it now, and one with other values."""
+"""The status of an end, as it would tell it now or has written it, and one with other values."""
 
+import json
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -23,3 +25,10 @@ def changed(part: M, **fields: Any) -> M:
         for name, value in fields.items()
     }
     return part.model_copy(update=update)
+
+
+def read_status(path: Path, kind: type[M]) -> M:
+    """The status in a run's folder, without its field ``health``."""
+    fields = json.loads(path.read_bytes())
+    del fields["health"]
+    return kind.model_validate(fields)

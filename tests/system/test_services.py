@@ -22,7 +22,6 @@ from protocol.messages import (
 from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import USAGE
-from runtime.health import read_status
 from runtime.host import Host
 from runtime.logs import logger
 from runtime.pace import Pace
@@ -33,6 +32,7 @@ from tests.support.mail import Mail, mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.pair import LinePair, Name
 from tests.support.recorded_pair import RecordedPair, read_lines
+from tests.support.statuses import read_status
 from tests.support.traces import events_of
 
 
