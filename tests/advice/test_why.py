@@ -47,7 +47,7 @@ def shipped(name: str, **control: object) -> Scenario:
     return Scenario.model_validate(data)
 
 
-@pytest.mark.parametrize("name", ["paper", "sustained", "double-integrator", "batch-reactor"])
+@pytest.mark.parametrize("name", ["paper", "sustained", "double-integrator"])
 def test_the_shares_add_up(name: str) -> None:
     found = reasons(shipped(name))
     assert (
@@ -98,8 +98,8 @@ def followed(scenario: Scenario, remedy: str) -> Scenario:
     return Scenario.model_validate(data)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*MOTORS, "double-integrator", "sustained"])
+@pytest.mark.long
+@pytest.mark.parametrize("name", [*MOTORS, "sustained"])
 def test_each_line_of_advice_raises_the_rate_when_it_is_followed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,6 +139,7 @@ def test_a_full_rate_needs_no_advice() -> None:
     assert "to raise the rate: x" in replace(found, remedies=("x",)).lines()
 
 
+@pytest.mark.long
 def test_a_small_alpha_is_named() -> None:
     scenario = shipped("batch-reactor")
     tight = scenario.model_copy(

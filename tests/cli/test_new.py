@@ -10,6 +10,7 @@ import pytest
 
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from tests.support.size import size
 from wyner.cli.main import main
 from wyner.cli.new import sampled
 from wyner.fit.first_scenario import first_scenario
@@ -62,7 +63,7 @@ def test_a_new_scenario_is_read_back_and_has_a_design(
     assert "is there already" in capsys.readouterr().err
 
 
-UNITS = [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)]
+UNITS = size([(1e-4, 1e4)], [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)])
 
 
 @pytest.mark.parametrize("units", UNITS)
@@ -116,6 +117,7 @@ def advised(told: str, text: str) -> str:
     return re.sub(r"(disturbance\].*\n(?:kind.*\n)?half_widths = )(\[.*\])", less, text)
 
 
+@pytest.mark.long
 def test_a_regulator_that_is_too_slow_names_the_state_and_the_remedies_help(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

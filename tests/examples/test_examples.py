@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ELSEWHERE = {"lesson"}
 """A page (`test_lesson.py`)."""
 PROGRAMS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.stem not in ELSEWHERE)
+LONG = {"whole_messages", "ladder_of_eavesdroppers"}
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 SAYS = {
@@ -67,6 +68,11 @@ def needs(text: str) -> None:
         pytest.importorskip("pandas")
 
 
+def cased(path: Path) -> Any:
+    """A program as a case: the long ones run 20 messages, or learn."""
+    return pytest.param(path, id=path.stem, marks=[pytest.mark.long] * (path.stem in LONG))
+
+
 @cache
 def printed(path: Path) -> str:
     """What a program prints."""
@@ -76,7 +82,7 @@ def printed(path: Path) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [cased(path) for path in PROGRAMS])
 def test_a_program(path: Path) -> None:
     needs(path.read_text(encoding="utf-8"))
     said = printed(path)

@@ -13,6 +13,7 @@ from wyner.api import design, run
 OWN = "examples/own/pairs.py:Pairs"
 
 
+@pytest.mark.long
 def test_a_file_of_ones_own_appears_in_the_table(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

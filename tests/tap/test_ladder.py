@@ -66,7 +66,9 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
     assert scored.bits.right >= scored.bits.of - 0.5
 
 
-@pytest.mark.parametrize("name", ["nearest-centre", "learning", "text"])
+@pytest.mark.parametrize(
+    "name", ["nearest-centre", pytest.param("learning", marks=pytest.mark.long), "text"]
+)
 def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
     _, scored = play(simulate(400, 0), name)
     assert scored.bits.of > 90
@@ -219,7 +221,7 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
     assert scored.why_unscored == SILENT
 
 
-@pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])
+@pytest.mark.parametrize("name", ["oracle", "list-decoder"])
 def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
     assert simulate(400, 8, payloads=[b"Noon"]).truth.whole
     run = simulate(400, 8, payloads=[b"Noon"], corrupt=40)

@@ -90,15 +90,18 @@ def test_what_was_missed_is_given_out_as_unknown_and_the_rest_goes_on(
     assert all(one.symbol == runs.coin[one.place, 0] for one in later)
 
 
+@pytest.mark.long
 def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Transfer) -> None:
     names = ["nearest-centre", "list-decoder"]
-    for place in range(size(2, 8)):
+    for place in range(size(1, 8)):
         for found in listen(runs, link, names, place):
             assert (found.delivered, found.read) == (1, 1)
             assert found.right > 0.97 * found.agreements
 
 
-@pytest.mark.parametrize("name", ["nearest-centre", "list-decoder", "text"])
+@pytest.mark.parametrize(
+    "name", ["nearest-centre", pytest.param("list-decoder", marks=pytest.mark.long), "text"]
+)
 def test_by_readings_she_names_the_message_symbols(
     name: str, scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -193,7 +196,7 @@ def test_what_text_weighs_begins_to_agree_at_one_step_of_each_trajectory(
     assert len(steps[LOST].samples) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_verdicts_that_the_ends_lost_after_missed_steps_break_no_message() -> None:
     """40 % lost each way: who takes all for agreed reads none, who tries each number all three."""
     scenario = over(at_the_corners("encoder"), 0.4)
@@ -201,7 +204,7 @@ def test_verdicts_that_the_ends_lost_after_missed_steps_break_no_message() -> No
     runs = simulate_runs(scenario, law, seed=2, runs=range(7), steps=500, record=True)
     link = transfer(runs, payloads=[b"We sail at dawn."])
     assert runs.missed is not None
-    for place in size((0, 6), (0, 3, 6)):
+    for place in size((0,), (0, 3, 6)):
         lost = (runs.symbol[:, place] == NO_SYMBOL) & ~runs.missed[:, place]
         assert lost[LOST:].sum() > 3
         takes, tries = listen(runs, link, ["nearest-centre", "list-decoder"], place)

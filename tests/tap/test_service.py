@@ -181,6 +181,7 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.unused.dropped
 
 
+@pytest.mark.long
 def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
     run: Run, tmp_path: Path
 ) -> None:
