@@ -31,7 +31,7 @@ def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
     [
         ("design", "packed"),
         ("design", "paper"),
-        ("design", "network"),
+        pytest.param(("design", "network"), marks=pytest.mark.long, id="design network"),
         ("design",),
     ],
     ids=" ".join,

@@ -66,6 +66,7 @@ def test_a_new_scenario_is_read_back_and_has_a_design(
 UNITS = size([(1e-4, 1e4)], [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("units", UNITS)
 def test_the_same_plant_in_other_units_gets_the_same_design(
     units: tuple[float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]

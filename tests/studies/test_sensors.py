@@ -56,6 +56,7 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
     assert [t.k for t in transitions] == sorted(offered)  # who hears all is told of each
 
 
+@pytest.mark.long
 def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one: 1 run of 60 steps, the lightest listeners."""
     for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "text"))):

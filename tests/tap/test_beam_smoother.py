@@ -89,12 +89,12 @@ def test_an_offer_that_bent_the_law_is_told_by_the_next_state() -> None:
 
 
 WATCHED = [
-    ("unicycle", 0, OFFERS, True, 0.95, 0.2),
     ("packed-double-integrator", 1, {"noise": 0.05}, True, 0.94, 0.25),
     ("packed-quadruple-tank", 0, LOSS, True, 0.86, 0.8),
     ("unicycle", 0, LOSS, False, 0.85, 0.5),
 ]
 BY_OFFERS = [
+    ("unicycle", 0, OFFERS, True, 0.95, 0.2),
     ("packed-batch-reactor", 0, OFFERS, True, 0.93, 0.5),
     ("packed-quadruple-tank", 0, OFFERS, True, 0.88, 0.8),
     ("packed-double-integrator", 0, OFFERS, True, 0.95, 0.25),
@@ -124,6 +124,7 @@ def test_she_names_most_symbols_and_knows_how_sure_she_is(
     assert -np.log2(said[np.arange(len(coins)), coins + 1]).mean() < bits
 
 
+@pytest.mark.long
 def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
     """It reaches 0.83 of D_c, which is an eighth of D_e."""
     runs, _ = shipped_run("packed-double-integrator", 240, 1)

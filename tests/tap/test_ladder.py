@@ -55,7 +55,7 @@ def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
     assert keys.low < 0.5 < keys.high
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", size((1, 2), range(4)))
 @pytest.mark.parametrize("name", ["list-decoder", "oracle"])
 def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -> None:
     run = simulate(500, seed, payloads=[b"Go now"])
@@ -100,7 +100,7 @@ def test_the_learner_starts_from_nothing() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("error", size([0.1, 0.5], [0.1, 0.3, 0.5]))
+@pytest.mark.parametrize("error", size(size([0.5], [0.1, 0.5]), [0.1, 0.3, 0.5]))
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
     for seed in range(size(1, 2)):
