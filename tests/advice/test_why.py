@@ -47,7 +47,15 @@ def shipped(name: str, **control: object) -> Scenario:
     return Scenario.model_validate(data)
 
 
-@pytest.mark.parametrize("name", ["paper", "sustained", "double-integrator"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "paper",
+        "sustained",
+        "double-integrator",
+        pytest.param("batch-reactor", marks=pytest.mark.long),
+    ],
+)
 def test_the_shares_add_up(name: str) -> None:
     found = reasons(shipped(name))
     assert (

@@ -63,7 +63,7 @@ def test_a_new_scenario_is_read_back_and_has_a_design(
     assert "is there already" in capsys.readouterr().err
 
 
-UNITS = size([(1e-4, 1e4)], [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)])
+UNITS = size([(1e-4, 1e4), (1.0, 1e-4)], [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)])
 
 
 @pytest.mark.long

@@ -20,6 +20,8 @@ ELSEWHERE = {"lesson"}
 """A page (`test_lesson.py`)."""
 PROGRAMS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.stem not in ELSEWHERE)
 LONG = {"whole_messages", "ladder_of_eavesdroppers"}
+"""One decodes twenty messages, in the other an eavesdropper learns."""
+
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 SAYS = {
@@ -69,7 +71,7 @@ def needs(text: str) -> None:
 
 
 def cased(path: Path) -> Any:
-    """A program as a case: the long ones run 20 messages, or learn."""
+    """A program as a case."""
     return pytest.param(path, id=path.stem, marks=[pytest.mark.long] * (path.stem in LONG))
 
 

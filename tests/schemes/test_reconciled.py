@@ -13,7 +13,6 @@ from protocol.schemes.bch import BCH
 from protocol.schemes.reconciled import CARRY, CHECK_BITS, Reconciled, Reconciled31, shortened
 from tests.simulate.beside import through_deaths_and_losses
 from tests.support.scenarios import changed
-from tests.support.size import size
 from wyner.api import design
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.link import followed, whole_messages
@@ -132,7 +131,9 @@ def test_the_engine_is_the_two_ends_past_the_first_words(seed: int) -> None:
         assert history.plant[at].shared == t.shared
 
 
-@pytest.mark.parametrize("scheme", size(["reconciled"], ["reconciled", "reconciled-31"]))
+@pytest.mark.parametrize(
+    "scheme", ["reconciled", pytest.param("reconciled-31", marks=pytest.mark.long)]
+)
 def test_words_that_differ_end_the_session_and_the_message_comes_once(scheme: str) -> None:
     law = {"law": "packed", "alphabet": {"spacing": 0.6}}
     system = design(changed("stochastic", secrecy={"scheme": scheme}, control=law))

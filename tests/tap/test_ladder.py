@@ -100,7 +100,7 @@ def test_the_learner_starts_from_nothing() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("error", size(size([0.5], [0.1, 0.5]), [0.1, 0.3, 0.5]))
+@pytest.mark.parametrize("error", size([0.5], [0.1, 0.3, 0.5]))
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
     for seed in range(size(1, 2)):
@@ -221,7 +221,9 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
     assert scored.why_unscored == SILENT
 
 
-@pytest.mark.parametrize("name", ["oracle", "list-decoder"])
+@pytest.mark.parametrize(
+    "name", ["oracle", "list-decoder", pytest.param("learning", marks=pytest.mark.long)]
+)
 def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
     assert simulate(400, 8, payloads=[b"Noon"]).truth.whole
     run = simulate(400, 8, payloads=[b"Noon"], corrupt=40)
