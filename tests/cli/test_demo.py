@@ -51,11 +51,11 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert list(bare_figures(scored)) == []
 
 
-@pytest.mark.parametrize(("missed", "most"), [(99, 2), (99, 8), (0, 8)])
+@pytest.mark.parametrize(("missed", "most"), [(99, 2), (0, 8)])
 def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after_it_too(
     missed: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    """A busy machine had the first keys after the onset, and the demo showed nothing."""
+    """A busy machine had the first keys after the onset, or refuted a claim after the first keys."""
     asked: list[tuple[str, str]] = []
 
     def session(options: RunOptions, *_: object, **__: object) -> Outcome:
@@ -64,9 +64,11 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
         asked.append((folder.name, options.pace))
         watched = 40 if options.pace == f"x{demo.ATTACKED_PACE / 8:g}" else 0
         alarm = 361 if watched and folder.name == "caught" else -1
+        made = folder.name in ("keys", "unseen")
         summary = {
             "attack": {"onset": 360, "watched": watched, "alarm_k": alarm, "delay": 1},
-            "taps": {}, "keys": {}, "failed": [], "delivered": folder.name != "spoken",
+            "taps": {}, "keys": {"made": made, "held_by_tap_bits": 0}, "failed": [],
+            "delivered": folder.name != "spoken",
             "missed": missed, "steps": 460,
         }  # fmt: skip
         scenario = scenario_of("packed")
@@ -77,7 +79,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")]) == 1
     spoken, *_, attacked = json.loads(capsys.readouterr().out)["verdict"]
     assert spoken == f"1. Spoken:  not delivered: {missed} of 460 steps missed."
-    slow = [1, 2, 4, 8][: most.bit_length()] if missed else [1]  # else it was not the machine
+    slow = [1, 2, 4, 8][: most.bit_length()]
     assert asked[: len(slow) + 1] == [
         *(("spoken", f"x{demo.PACE / n:g}") for n in slow),
         ("keys", f"x{demo.PACE / slow[-1]:g}"),
@@ -86,3 +88,4 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     caught = slow[-1] == 8
     assert ("caught 1 step after its onset" in attacked) == caught
     assert ("no key was there in time" in attacked) == (not caught)
+    assert attacked.endswith("where Eve hears all keys were made before the claim was refuted.")

@@ -31,8 +31,8 @@ PACE: Final = 5.0
 ATTACKED_PACE: Final = 7.0
 
 SLOWEST: Final = 8
-"""What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
-is made again at half the pace, and those after it begin so."""
+"""What a pace is divided by at most. A run that showed nothing, for the machine was too busy for its
+pace, is made again at half of it, and those after it begin so."""
 
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
@@ -112,8 +112,8 @@ def _unseen(summary: dict[str, Any]) -> Verdict:
     away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
     if found.get("alarm_k", -1) >= 0:
         return ", and where Eve hears all as well: that must not be.", False
-    if _made(summary):
-        return "; where Eve hears all keys were made: that must not be.", False
+    if _made(summary):  # steps went by faster than the tap told what it hears
+        return "; where Eve hears all keys were made before the claim was refuted.", None
     if found.get("unwatched", 0) < ENOUGH:
         return f"; where Eve hears all nothing is shown, for {_missed(summary)}.", None
     line = (
@@ -261,11 +261,9 @@ def _shown(
         ended = outcome.left or outcome.interrupted or outcome.failure is not None
         if as_it_must is not None or ended or slower == SLOWEST:
             return outcome, as_it_must, slower
-        if not outcome.figures["missed"]:  # it was not the machine
-            return outcome, as_it_must, slower
         slower *= 2
         shutil.rmtree(folder)
-        begins = f"{_missed(outcome.figures)}: once more, at half the pace."
+        begins = f"Nothing was shown ({_missed(outcome.figures)}): once more, at half the pace."
 
 
 def _options(act: Act, scenario: str, folder: Path, slower: int, *, as_json: bool) -> RunOptions:
