@@ -34,10 +34,10 @@ Patch = pytest.MonkeyPatch
     size([("switched", True)], [("switched", False), ("switched", True), ("pipelined", False)]),
 )
 def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
-    starts = slice(size(-3, -6), -1)
+    starts = slice(size(-2, -6), -1)
     found = shortest(Space(scheme, keys=True, acts=acts), 3, 2, starts)
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > size(1500, 2000)
+    assert len(found.seen) > size(750, 2000)
 
 
 @pytest.mark.long
@@ -53,9 +53,9 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
 ) -> None:
     with short_keys(DIGITS):
         space = Space(scheme, keys=True, acts=acts, coin=coin)
-        found = shortest(space, 3, 2, slice(-4, -1))
+        found = shortest(space, 3, 2, slice(size(-2, -4), -1))
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > 1500
+    assert len(found.seen) > size(500, 1500)
 
 
 @pytest.mark.long
@@ -139,7 +139,7 @@ def as_it_is(_: Patch) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(
     "rule",
-    size([as_it_is, end_on_a_late_hello], [as_it_is, end_on_a_late_hello, count_no_lives]),
+    size([end_on_a_late_hello], [as_it_is, end_on_a_late_hello, count_no_lives]),
 )
 def test_a_hello_of_a_former_life_ends_nothing(
     rule: Callable[[Patch], None], monkeypatch: Patch

@@ -55,7 +55,7 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after_it_too(
     missed: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    """A busy machine had the first keys after the onset, or refuted a claim after the first keys."""
+    """A busy machine had the first keys after the onset, or a claim refuted after them."""
     asked: list[tuple[str, str]] = []
 
     def session(options: RunOptions, *_: object, **__: object) -> Outcome:

@@ -9,11 +9,12 @@ from runtime.recording import LineWriter, decode, dumps, raw_lines
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
 from tests.support.programs import python
 from tests.support.recorded_pair import make_run
+from tests.support.size import size
 from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long
 
-FEW, MANY = 8_000, 120_000
+FEW, MANY = 8_000, size(40_000, 120_000)
 MOST = 400 * 2**20
 
 SUMMARY = """

@@ -30,10 +30,10 @@ def up(folder: Path, *options: str) -> None:
     ("name", "steps", "seed", "text"),
     [
         # Under the paper's own law the candidates coincide after ten steps: fewer are enough.
-        ("paper", size(500, 10_000), 2, TEXT),
-        ("sustained", size(1500, 20_000), 2, size(TEXT[:24], 6 * TEXT)),
-        ("quadruple-tank", size(700, 20_000), 2, size(TEXT[:8], 6 * TEXT)),
-        ("packed", 1000, 21, TEXT),
+        ("paper", size(200, 10_000), 2, TEXT),
+        ("sustained", size(800, 20_000), 2, size(TEXT[:12], 6 * TEXT)),
+        ("quadruple-tank", size(500, 20_000), 2, size(TEXT[:5], 6 * TEXT)),
+        ("packed", size(600, 1000), 21, size(TEXT[:40], TEXT)),
     ],
 )
 def test_live_services_and_engine_are_one_system(

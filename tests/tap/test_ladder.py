@@ -88,7 +88,7 @@ def test_several_messages_come_in_order() -> None:
 def test_the_learner_starts_from_nothing() -> None:
     exact = right = of = 0
     for seed in range(size(1, 3)):
-        run = simulate(1200, seed)
+        run = simulate(size(480, 1200), seed, payloads=[size(b"Go now", b"Meet at six")])
         said, scored = play(run, "learning")
         exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
         early = {at: v for at, v in run.truth.keys.items() if at[1] < 200}
@@ -104,7 +104,7 @@ def test_the_learner_starts_from_nothing() -> None:
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
     for seed in range(size(1, 2)):
-        run = simulate(1200, 100 + seed)
+        run = simulate(size(480, 1200), 100 + seed, payloads=[size(b"Go now", b"Meet at six")])
         said, _ = play(run, "learning", View(model_error=error, seed=seed))
         exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
     assert exact >= 1
@@ -113,7 +113,7 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
 @pytest.mark.long
 def test_text_gains_over_the_list_decoder_when_messages_are_lost() -> None:
     view = View(loss=0.3, seed=3)
-    run = simulate(400, 3)
+    run = simulate(size(200, 400), 3)
     plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "text"))
     assert smooth.keys_reviewed.right > plain.keys_reviewed.right
     blind = 0.5 * smooth.keys.of
@@ -131,9 +131,9 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Messages one after the other, across the steps at which she lets go of the older half."""
-    keeping(1024, monkeypatch)
-    payloads = [size(b"no. %02d", b"message number %02d") % i for i in range(10)]
-    run = simulate(size(1700, 3000), 1, payloads=payloads)
+    keeping(size(512, 1024), monkeypatch)
+    payloads = [size(b"%02d", b"message number %02d") % i for i in range(10)]
+    run = simulate(size(900, 3000), 1, payloads=payloads)
     said, scored = play(run, name)
     assert len(run.truth.whole) >= 3
     assert said.belief.whole == tuple(p for _, p in run.truth.whole)
@@ -144,10 +144,10 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["learning", "text"])
 def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    keeping(1024, monkeypatch)
+    keeping(size(512, 1024), monkeypatch)
     long = b"It was a quiet night at the harbour and nobody saw the boats leave."
-    text = size(long[:40], long)
-    run = simulate(size(2100, 3300), 1, payloads=[text])
+    text = size(long[:20], long)
+    run = simulate(size(1300, 3300), 1, payloads=[text])
     assert [p for _, p in run.truth.whole] == [text]
     assert play(run, name)[0].belief.whole == (text,)
 

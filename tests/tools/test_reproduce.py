@@ -80,7 +80,7 @@ def test_rows_are_compared_without_the_version_of_the_code(
 
 @pytest.mark.long
 def test_the_short_rows_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--only", "examples/whole_messages.py"]) == 0
+    assert main(["--only", "examples/paper_scheme.py"]) == 0
     assert capsys.readouterr().out.endswith(
         f"1 of 1 rows hold; {len(rows(PAGE.read_text())) - 1} not run\n"
     )
