@@ -2,7 +2,7 @@
 
 from wyner import eavesdrop, run
 
-runs = run("sustained", steps=1000, runs=20, seed=0, message=b"We sail at dawn.")
+runs = run("sustained", steps=500, runs=20, seed=0, message=b"At six.")
 (tap,) = eavesdrop(runs, ["list-decoder"])
 print(f"{tap.name} names {tap.right} of {tap.agreements} key bits")
 print(f"{tap.name} reads {tap.read} of {tap.delivered} messages")

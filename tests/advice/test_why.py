@@ -67,6 +67,7 @@ def test_the_paper_law_is_quiet_because_its_candidates_are_one() -> None:
     assert reasons(shipped("paper", law="sustained")).agreed.value > 0.2
 
 
+@pytest.mark.long
 def test_a_softer_regulator_raises_the_rate_where_it_is_advised() -> None:
     """And by as much as the line says."""
     stiff = reasons(shipped("double-integrator"))

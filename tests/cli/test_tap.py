@@ -56,6 +56,7 @@ def test_the_oracle_in_a_replay_needs_the_runs_folder(
     assert report["taps"]["oracle"]["exact_message_rate"]["value"] == 1.0
 
 
+@pytest.mark.long
 def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     figure = tmp_path / "report.svg"
     args = ("--eavesdropper", "set-membership,list-decoder", "--plot", figure)

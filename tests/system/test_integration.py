@@ -162,7 +162,7 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
     management = ["--connect", f"management={by_hand.management['controller']}"]
     sent = wyner("send", "first", *management)
     assert sent.returncode == 0, sent.stderr
-    (tmp_path / "note").write_bytes(bytes(range(0, 256, 17)))
+    (tmp_path / "note").write_bytes(bytes(range(0, 256, 43)))
     assert wyner("send", f"@{tmp_path}/note", *management).returncode == 0
     with (
         ZenohBus(connect=[*by_hand.field.values()]) as field,

@@ -89,12 +89,10 @@ def test_an_offer_that_bent_the_law_is_told_by_the_next_state() -> None:
     assert (said[:, 2] > 0.9).all()
 
 
-WATCHED = [
+QUICK = [("unicycle", 0, LOSS, False, 0.85, 0.5)]
+LONG = [
     ("packed-double-integrator", 1, {"noise": 0.05}, True, 0.94, 0.25),
     ("packed-quadruple-tank", 0, LOSS, True, 0.86, 0.8),
-    ("unicycle", 0, LOSS, False, 0.85, 0.5),
-]
-BY_OFFERS = [
     ("unicycle", 0, OFFERS, True, 0.95, 0.2),
     ("packed-double-integrator", 0, OFFERS, True, 0.95, 0.25),
     ("packed-batch-reactor", 0, OFFERS, True, 0.93, 0.5),
@@ -104,7 +102,7 @@ BY_OFFERS = [
 
 @pytest.mark.parametrize(
     ("scenario", "run", "view", "policy", "least", "bits"),
-    [*WATCHED, *(pytest.param(*case, marks=pytest.mark.long) for case in BY_OFFERS[: size(2, 4)])],
+    [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in LONG[: size(4, 6)])],
 )
 def test_she_names_most_symbols_and_knows_how_sure_she_is(
     scenario: str, run: int, view: dict[str, object], policy: bool, least: float, bits: float

@@ -55,7 +55,7 @@ def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
     assert keys.low < 0.5 < keys.high
 
 
-@pytest.mark.parametrize("seed", size((1, 2), range(4)))
+@pytest.mark.parametrize("seed", size((2,), range(4)))
 @pytest.mark.parametrize("name", ["list-decoder", "oracle"])
 def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -> None:
     run = simulate(500, seed, payloads=[b"Go now"])
@@ -77,7 +77,7 @@ def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
 
 def test_several_messages_come_in_order() -> None:
     payloads = [b"a", b"b"]
-    run = simulate(600, 7, payloads=payloads)
+    run = simulate(500, 7, payloads=payloads)
     assert len(run.truth.whole) == 2
     for name in ("list-decoder", "oracle"):
         belief = play(run, name)[0].belief

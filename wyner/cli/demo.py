@@ -31,8 +31,8 @@ PACE: Final = 5.0
 ATTACKED_PACE: Final = 7.0
 
 SLOWEST: Final = 8
-"""What a pace is divided by at most. A run that showed nothing, for the machine was too busy for its
-pace, is made again at half of it, and those after it begin so."""
+"""What a pace is divided by at most. A run that showed nothing, for the machine was too busy, is
+made again at half the pace, and those after it begin so."""
 
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
