@@ -82,9 +82,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(1800))
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    # At the end no process then waits for another one's file of long tests.
-    long = Counter(item.path for item in items if item.get_closest_marker("long"))
-    items.sort(key=lambda item: -long[item.path])
+    # At the end no process then waits for another one's file of tests that take long.
+    first = ("long", "integration")
+    heavy = Counter(item.path for item in items if any(map(item.get_closest_marker, first)))
+    items.sort(key=lambda item: -heavy[item.path])
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -23,8 +23,8 @@ def run(args: argparse.Namespace) -> int:
     options = picked(TapOptions, vars(args))
     if options.knowledge is not None:
         return tap_service.command.run(args)
-    if options.scenario is None and options.fleet is None:
-        raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
+    if options.scenario is None and (options.fleet is None or options.fleet.isdecimal()):
+        raise UsageError("--scenario, --knowledge or a file of --fleet: expected one of them")
     from runtime.scenario_file import scenario_of
 
     def knowledge_of(loop: FleetLoop) -> GivenKnowledge:

@@ -139,7 +139,7 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     try:
         keys = load_scenario(path).keys if path.exists() else None
     except ScenarioError as error:
-        raise UsageError(error.problems[0]) from None
+        raise UsageError(error.problems) from None
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
