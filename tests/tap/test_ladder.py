@@ -34,6 +34,9 @@ from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
 
 CLEAR = View()
 
+LEARNING = size([], ["learning"])
+"""She reads as `list-decoder` does once she has a model: in the gate her own tests say so."""
+
 
 def play(run: Run, name: str, view: View = CLEAR) -> tuple[TapOutput, EavesdropperScore]:
     kind = named(name)
@@ -66,9 +69,7 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
     assert scored.bits.right >= scored.bits.of - 0.5
 
 
-@pytest.mark.parametrize(
-    "name", ["nearest-centre", pytest.param("learning", marks=pytest.mark.long), "text"]
-)
+@pytest.mark.parametrize("name", ["nearest-centre", "text", *LEARNING])
 def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
     _, scored = play(simulate(400, 0), name)
     assert scored.bits.of > 90
@@ -142,7 +143,7 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["learning", "text"])
+@pytest.mark.parametrize("name", ["text", *LEARNING])
 def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(size(512, 1024), monkeypatch)
     long = b"It was a quiet night at the harbour and nobody saw the boats leave."
@@ -221,9 +222,7 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
     assert scored.why_unscored == SILENT
 
 
-@pytest.mark.parametrize(
-    "name", ["oracle", "list-decoder", pytest.param("learning", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("name", ["oracle", "list-decoder", *LEARNING])
 def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
     assert simulate(400, 8, payloads=[b"Noon"]).truth.whole
     run = simulate(400, 8, payloads=[b"Noon"], corrupt=40)
