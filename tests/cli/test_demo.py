@@ -67,8 +67,8 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
         made = folder.name in ("keys", "unseen")
         summary = {
             "attack": {"onset": 360, "watched": watched, "alarm_k": alarm, "delay": 1},
-            "taps": {}, "keys": {"made": made, "held_by_tap_bits": 0}, "failed": [],
-            "delivered": folder.name != "spoken",
+            "taps": {}, "failed": [], "delivered": folder.name != "spoken",
+            "keys": {"made": made, "held_by_tap_bits": 0, "audited": {"all": {"refuted": True}}},
             "missed": missed, "steps": 460,
         }  # fmt: skip
         scenario = scenario_of("packed")
@@ -89,3 +89,9 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     assert ("caught 1 step after its onset" in attacked) == caught
     assert ("no key was there in time" in attacked) == (not caught)
     assert attacked.endswith("where Eve hears all keys were made before the claim was refuted.")
+
+
+def test_keys_under_a_claim_that_is_never_refuted_are_not_the_machines_doing() -> None:
+    keys = {"made": 3, "audited": {"offers": {"refuted": False}}}
+    line, as_it_must = demo.ACTS[-1].verdict({"attack": None, "keys": keys})
+    assert (line.endswith("that must not be."), as_it_must) == (True, False)

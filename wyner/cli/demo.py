@@ -112,7 +112,10 @@ def _unseen(summary: dict[str, Any]) -> Verdict:
     away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
     if found.get("alarm_k", -1) >= 0:
         return ", and where Eve hears all as well: that must not be.", False
-    if _made(summary):  # steps went by faster than the tap told what it hears
+    if _made(summary):
+        if not any(rate["refuted"] for rate in summary["keys"]["audited"].values()):
+            return "; where Eve hears all keys were made: that must not be.", False
+        # steps went by faster than the tap told what it hears
         return "; where Eve hears all keys were made before the claim was refuted.", None
     if found.get("unwatched", 0) < ENOUGH:
         return f"; where Eve hears all nothing is shown, for {_missed(summary)}.", None
